@@ -1,0 +1,1 @@
+"""Blender to Frame: with engine, ui and the command line the only code that imports bpy."""

@@ -1,0 +1,1 @@
+"""Errors against Cycles one-bounce: metrics, reference, pictures and benchmarks."""

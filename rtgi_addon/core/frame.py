@@ -1,0 +1,235 @@
+"""The frame: everything that the passes know of a scene, as plain arrays.
+
+A frame needs no Blender: `frameio` saves it as .npz and loads it again. All positions are relative to `Frame.origin_ws`,
+so that scenes far from the world's origin keep their digits in float32. Colours are linear Rec.709, scene-referred.
+Images are (H, W, ...) with row 0 at the top.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .transforms import Camera
+
+
+class LightKind(enum.Enum):
+    """The shapes of lamps that the passes know."""
+
+    POINT = "POINT"
+    SPOT = "SPOT"
+    SUN = "SUN"
+    RECTANGLE = "RECTANGLE"
+    DISK = "DISK"
+
+    @property
+    def is_area(self) -> bool:
+        return self in (LightKind.RECTANGLE, LightKind.DISK)
+
+
+@dataclass(frozen=True)
+class Light:
+    """One lamp in SI units; `radiometry` derives each factor.
+
+    Attributes
+    ----------
+    name : str
+        Name of the Blender object (and instance), for messages.
+    kind : LightKind
+    world_from_light : (4, 4) float64
+        Rigid; the lamp shines along its -Z; translation relative to the frame's origin.
+    power : (3,) float64
+        Strength by colour in the unit of the kind: radiant intensity W/sr on the axis of a POINT or SPOT, irradiance
+        W/m2 on a plane facing a SUN, radiance W/(m2 sr) of a RECTANGLE or DISK.
+    radius_m : float
+        Radius of the sphere of a POINT or SPOT; 0 is a mathematical point.
+    angle_rad : float
+        Angular diameter of a SUN.
+    spot_size_rad, spot_blend : float
+        Full cone angle of a SPOT and the share of the cone that its soft edge takes.
+    size_x_m, size_y_m : float
+        Full edges of a RECTANGLE, full axes of a DISK (an ellipse).
+    spread_rad : float
+        Full angle that an area light spreads over; pi is Lambertian.
+    casts_shadow : bool
+    diffuse_factor, glossy_factor : float
+        Shares of this lamp's light that the two lobes take (the lamp's own "influence" settings).
+    """
+
+    name: str
+    kind: LightKind
+    world_from_light: np.ndarray
+    power: np.ndarray
+    radius_m: float = 0.0
+    angle_rad: float = 0.0
+    spot_size_rad: float = np.pi
+    spot_blend: float = 0.0
+    size_x_m: float = 0.0
+    size_y_m: float = 0.0
+    spread_rad: float = np.pi
+    casts_shadow: bool = True
+    diffuse_factor: float = 1.0
+    glossy_factor: float = 1.0
+
+    @property
+    def position_ws(self) -> np.ndarray:
+        return self.world_from_light[:3, 3]
+
+    @property
+    def direction_ws(self) -> np.ndarray:
+        """(3,) unit vector along which the lamp shines."""
+        return -self.world_from_light[:3, 2]
+
+
+@dataclass(frozen=True)
+class GBuffer:
+    """What one view sees, at pixel centres.
+
+    Attributes
+    ----------
+    depth : (H, W) float32 m
+        Planar, or ray length in an equirectangular view; +inf where nothing is seen.
+    position_ws : (H, W, 3) float32 m, relative to the frame's origin; 0 where nothing is seen.
+    normal_ws : (H, W, 3) float32
+        Unit shading normals, on the viewer's side; (0, 0, 1) where nothing is seen.
+    albedo : (H, W, 3) float32
+        Diffuse reflectance in [0, 1], as seen (a coat or specular layer above has taken its share).
+    specular : (H, W, 3) float32
+        Directional reflectance of the glossy lobe towards the viewer ("Glossy Color").
+    roughness : (H, W) float32
+        Perceptual: GGX alpha is its square.
+    emission : (H, W, 3) float32 W/(m2 sr)
+        Radiance of emissive surfaces, and of the visible world where nothing is seen.
+    """
+
+    depth: np.ndarray
+    position_ws: np.ndarray
+    normal_ws: np.ndarray
+    albedo: np.ndarray
+    specular: np.ndarray
+    roughness: np.ndarray
+    emission: np.ndarray
+
+    @property
+    def mask(self) -> np.ndarray:
+        """(H, W) bool, True on surfaces."""
+        return np.isfinite(self.depth)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.depth.shape
+
+
+@dataclass(frozen=True)
+class LightView:
+    """The scene as one light sees it: shadow map and reflective shadow map.
+
+    `incident_flux` is (H, W, 3) float32 W: what the light sends into each texel, before any reflection; 0 outside a
+    spot's cone. `gbuffer` holds what it falls on.
+    """
+
+    light_index: int
+    camera: Camera
+    gbuffer: GBuffer
+    incident_flux: np.ndarray
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """World triangles of the evaluated scene, two-sided.
+
+    Attributes
+    ----------
+    corners_ws : (T, 3, 3) float32 m, triangle, corner, xyz; relative to the frame's origin.
+    albedo : (T, 3, 3) float32, diffuse reflectance at the corners.
+    emission : (T, 3) float32 W/(m2 sr), mean radiance of the triangle.
+    material : (T,) int32, index into `Frame.materials`.
+    """
+
+    corners_ws: np.ndarray
+    albedo: np.ndarray
+    emission: np.ndarray
+    material: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.corners_ws)
+
+    @property
+    def bounds_ws(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest corner of the box around all triangles, (3,) each; zeros for no triangles."""
+        if not len(self):
+            return np.zeros(3, np.float32), np.zeros(3, np.float32)
+        flat = self.corners_ws.reshape(-1, 3)
+        return flat.min(0), flat.max(0)
+
+    @property
+    def scale_m(self) -> float:
+        """Longest edge of the bounds: what ray offsets and tolerances are relative to."""
+        low, high = self.bounds_ws
+        return float(np.max(high - low, initial=0.0))
+
+    @staticmethod
+    def empty() -> "Geometry":
+        return Geometry(np.zeros((0, 3, 3), np.float32), np.zeros((0, 3, 3), np.float32),
+                        np.zeros((0, 3), np.float32), np.zeros(0, np.int32))
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a surface is made of where no pass tells it per pixel (constants, or means of textures)."""
+
+    name: str
+    albedo: tuple[float, float, float] = (0.8, 0.8, 0.8)
+    specular: tuple[float, float, float] = (0.04, 0.04, 0.04)
+    roughness: float = 0.5
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    alpha: float = 1.0
+
+
+@dataclass(frozen=True)
+class World:
+    """Light from infinity: radiance (H, W, 3) float32 W/(m2 sr) over the sphere.
+
+    Equirectangular in world axes: row 0 is straight up (+Z), column 0 is longitude -pi; longitude 0 is +Y and grows
+    towards +X. A constant world is 1x1. `is_black` worlds cost nothing.
+    """
+
+    radiance: np.ndarray = field(default_factory=lambda: np.zeros((1, 1, 3), np.float32))
+
+    @property
+    def is_black(self) -> bool:
+        return not self.radiance.any()
+
+    @property
+    def is_constant(self) -> bool:
+        return self.radiance.shape[:2] == (1, 1)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame of one view layer, ready for the passes.
+
+    `origin_ws` (3,) float64 m is what was taken off every position; `warnings` are lines for the user, one for each
+    thing of the scene that RTGI does not model, naming its datablock. `views` come in the order of capture and name
+    their light by index. `geometry` is None when no planned pass meets the scene with rays or voxels.
+    """
+
+    camera: Camera
+    gbuffer: GBuffer
+    lights: tuple[Light, ...] = ()
+    views: tuple[LightView, ...] = ()
+    geometry: Geometry | None = None
+    materials: tuple[Material, ...] = ()
+    world: World = field(default_factory=World)
+    origin_ws: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def scale_m(self) -> float:
+        """Size of the scene: of its geometry, else of what the camera sees; what tolerances are relative to."""
+        if self.geometry is not None and len(self.geometry):
+            return self.geometry.scale_m
+        seen = self.gbuffer.position_ws[self.gbuffer.mask]
+        return float(np.ptp(seen, axis=0).max()) if len(seen) else 1.0

@@ -1,0 +1,41 @@
+"""Parameters with one source: a frozen dataclass whose fields carry range, unit and description.
+
+The panel's properties, the command line's help and the docs tables are all made from these fields.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import InputError
+
+
+def param(default: Any, doc: str, *, low: float | None = None, high: float | None = None, soft_high: float | None = None,
+          unit: str = "", choices: tuple[tuple[str, str, str], ...] = ()) -> Any:
+    """A dataclass field with its range and meaning.
+
+    `low` and `high` are hard limits, `soft_high` is where a slider ends; `unit` is one of "", "m", "px", "rad";
+    `choices` are (identifier, label, description) for a text parameter.
+    """
+    return dataclasses.field(default=default, metadata={
+        "doc": doc, "low": low, "high": high, "soft_high": soft_high, "unit": unit, "choices": choices})
+
+
+@dataclass(frozen=True)
+class Params:
+    """Base of every technique's parameters."""
+
+    def validate(self, where: str) -> None:
+        """Raise InputError naming the first field outside its range; `where` is the technique's name."""
+        for f in dataclasses.fields(self):
+            value, meta = getattr(self, f.name), f.metadata
+            if meta["choices"]:
+                allowed = [c[0] for c in meta["choices"]]
+                if value not in allowed:
+                    raise InputError(f"{where}.{f.name} must be one of {', '.join(allowed)}, got {value!r}")
+            elif not isinstance(value, bool):
+                low, high = meta["low"], meta["high"]
+                if not (low is None or value >= low) or not (high is None or value <= high):
+                    raise InputError(f"{where}.{f.name} must be from {low} to {high} {meta['unit']}".rstrip() + f", got {value}")

@@ -1,0 +1,1 @@
+"""The numba vocabulary: functions on arrays and scalars, with no knowledge of frames, lights or Blender."""

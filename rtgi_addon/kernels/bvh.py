@@ -1,0 +1,295 @@
+"""A bounding volume hierarchy over triangles: binned SAH build, any-hit segments and closest hits.
+
+Two children a node, both boxes in the parent (Aila and Laine 2009), so that a ray visits a node only after it has met its
+box. Triangles are two-sided (Moeller and Trumbore 1997). 262,000 triangles build in 0.1 to 0.2 s on one core.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .jit import device_jit
+from .vec3 import ONE, ZERO, Vec3, cross, dot, f32, sub
+
+BINS = 12
+LEAF_TRIANGLES = 4          # a leaf may hold up to 7 where no split pays
+STACK = 96                  # depth of the traversal stack: a SAH tree over 2^24 triangles stays below 64
+BIG = f32(1e30)
+SEGMENT_END = f32(0.9999)   # a segment ends a hair before its target, which lies on a surface itself
+
+
+class Bvh(NamedTuple):
+    """The tree, as kernels take it.
+
+    boxes (n, 2, 6) float32: lowest and highest corner of each child; kids (n, 2) int32: a node, or a leaf coded as
+    -(first * 8 + count) - 1; corners (T, 9) float32: corner and two edges, in leaf order; source (T,) int32: index of
+    the triangle in the geometry.
+    """
+
+    boxes: np.ndarray
+    kids: np.ndarray
+    corners: np.ndarray
+    source: np.ndarray
+
+
+def build_bvh(corners_ws: np.ndarray) -> Bvh:
+    """BVH over (T, 3, 3) float32 triangles; those with a coordinate that is not finite are left out."""
+    finite = np.isfinite(corners_ws).all((1, 2))
+    kept = np.flatnonzero(finite).astype(np.int32)
+    triangles = np.ascontiguousarray(corners_ws[kept], np.float32)
+    boxes, kids, packed, order = _build(triangles)
+    return Bvh(boxes, kids, packed, kept[order].astype(np.int32))
+
+
+@device_jit
+def _half_area(b):
+    x, y, z = b[3] - b[0], b[4] - b[1], b[5] - b[2]
+    return x * y + y * z + z * x
+
+
+@device_jit
+def _grow(b, c):
+    for a in range(3):
+        b[a], b[a + 3] = min(b[a], c[a]), max(b[a + 3], c[a + 3])
+
+
+@device_jit
+def _sah_cut(box, index, start, end, axis, low, scale, count, bins, right, run):
+    """Bin after which to cut, by the surface area heuristic, or -1."""
+    count[:] = 0
+    for q in range(BINS):
+        _clear(bins[q])
+    for k in range(start, end):
+        b = box[index[k]]
+        q = int((b[axis] + b[axis + 3] - low) * scale)
+        count[q] += 1
+        _grow(bins[q], b)
+    _clear(run)
+    number = 0
+    for q in range(BINS - 1, 0, -1):
+        _grow(run, bins[q])
+        number += count[q]
+        right[q] = _half_area(run) * f32(number) if number else ZERO
+    _clear(run)
+    number, best, cut = 0, BIG * BIG, -1
+    for q in range(BINS - 1):
+        _grow(run, bins[q])
+        number += count[q]
+        if 0 < number < end - start:
+            cost = np.float64(_half_area(run) * f32(number) + right[q + 1])
+            if cost < best:
+                best, cut = cost, q
+    return cut
+
+
+@device_jit
+def _clear(b):
+    b[0], b[1], b[2], b[3], b[4], b[5] = BIG, BIG, BIG, -BIG, -BIG, -BIG
+
+
+@device_jit
+def _build(tris):
+    n = tris.shape[0]
+    index = np.arange(n)
+    box = np.empty((n, 6), np.float32)
+    for i in range(n):
+        for a in range(3):
+            box[i, a] = min(tris[i, 0, a], min(tris[i, 1, a], tris[i, 2, a]))
+            box[i, a + 3] = max(tris[i, 0, a], max(tris[i, 1, a], tris[i, 2, a]))
+    boxes, kids = np.empty((2 * n + 2, 2, 6), np.float32), np.zeros((2 * n + 2, 2), np.int32)
+    count, bins, right = np.zeros(BINS, np.int64), np.empty((BINS, 6), np.float32), np.empty(BINS, np.float32)
+    run, whole, centres = np.empty(6, np.float32), np.empty(6, np.float32), np.empty(6, np.float32)
+    _clear(boxes[0, 0])
+    _clear(boxes[0, 1])
+    kids[0, 0] = kids[0, 1] = -1                 # an empty leaf: a tree of no triangles meets nothing
+    todo = [(0, n, -1, 0)]
+    nodes = 0
+    while len(todo) > 0:
+        start, end, parent, side = todo.pop()
+        _clear(whole)
+        _clear(centres)
+        for k in range(start, end):
+            b = box[index[k]]
+            _grow(whole, b)
+            for a in range(3):
+                c = b[a] + b[a + 3]
+                centres[a], centres[a + 3] = min(centres[a], c), max(centres[a + 3], c)
+        if parent >= 0:
+            boxes[parent, side] = whole
+        axis = 0
+        for a in range(1, 3):
+            if centres[a + 3] - centres[a] > centres[axis + 3] - centres[axis]:
+                axis = a
+        low, extent, middle = centres[axis], centres[axis + 3] - centres[axis], -1
+        if end - start > LEAF_TRIANGLES and extent > ZERO:
+            scale = f32(BINS * 0.9999) / extent
+            cut = _sah_cut(box, index, start, end, axis, low, scale, count, bins, right, run)
+            if cut >= 0:
+                i, j = start, end - 1
+                while i <= j:
+                    t = index[i]
+                    if int((box[t, axis] + box[t, axis + 3] - low) * scale) <= cut:
+                        i += 1
+                    else:
+                        index[i], index[j] = index[j], t
+                        j -= 1
+                middle = i
+        if middle < 0 and end - start > 7:
+            middle = (start + end) // 2          # all centres in one place: any halves will do
+        if middle >= 0 or (parent < 0 and n > 0):
+            me = nodes
+            nodes += 1
+            middle = middle if middle >= 0 else start + (end - start + 1) // 2
+            todo.append((middle, end, me, 1))
+            todo.append((start, middle, me, 0))
+        else:
+            me = -(start * 8 + end - start) - 1
+        if parent >= 0:
+            kids[parent, side] = me
+    nodes = max(nodes, 1)
+    packed = np.empty((n, 9), np.float32)
+    for k in range(n):
+        for a in range(3):
+            packed[k, a] = tris[index[k], 0, a]
+            packed[k, 3 + a] = tris[index[k], 1, a] - tris[index[k], 0, a]
+            packed[k, 6 + a] = tris[index[k], 2, a] - tris[index[k], 0, a]
+    return boxes[:nodes].copy(), kids[:nodes].copy(), packed, index
+
+
+@device_jit
+def _safe_rcp(x):
+    return ONE / x if abs(x) > f32(1e-20) else (f32(1e20) if x >= ZERO else f32(-1e20))
+
+
+@device_jit
+def _enter(b, n, s, o, inv, reach):
+    """(does the ray meet child box s of node n before `reach`, parameter of entry)."""
+    p, q = (b[n, s, 0] - o.x) * inv.x, (b[n, s, 3] - o.x) * inv.x
+    near, far = min(p, q), max(p, q)
+    p, q = (b[n, s, 1] - o.y) * inv.y, (b[n, s, 4] - o.y) * inv.y
+    near, far = max(near, min(p, q)), min(far, max(p, q))
+    p, q = (b[n, s, 2] - o.z) * inv.z, (b[n, s, 5] - o.z) * inv.z
+    near, far = max(near, min(p, q)), min(far, max(p, q))
+    # slabs of flat boxes meet in a point that rounding may open: widen by four ulps (Ize 2013)
+    return max(near, ZERO) <= min(far * f32(1.0000005), reach), near
+
+
+@device_jit
+def _meet(c, k, o, d):
+    """(t, u, v) of the ray o + t d with triangle k; t is -1 for a miss."""
+    e1, e2 = Vec3(c[k, 3], c[k, 4], c[k, 5]), Vec3(c[k, 6], c[k, 7], c[k, 8])
+    p = cross(d, e2)
+    det = dot(e1, p)
+    if det == ZERO:
+        return -ONE, ZERO, ZERO
+    inv = ONE / det
+    s = sub(o, Vec3(c[k, 0], c[k, 1], c[k, 2]))
+    u = dot(s, p) * inv
+    if u < ZERO or u > ONE:
+        return -ONE, ZERO, ZERO
+    q = cross(s, e1)
+    v = dot(d, q) * inv
+    if v < ZERO or u + v > ONE:
+        return -ONE, ZERO, ZERO
+    return dot(e2, q) * inv, u, v
+
+
+@device_jit
+def _leaf_blocks(corners, leaf, o, d):
+    code = -leaf - 1
+    for k in range(code >> 3, (code >> 3) + (code & 7)):
+        t, _, _ = _meet(corners, k, o, d)
+        if t > ZERO and t < SEGMENT_END:
+            return True
+    return False
+
+
+@device_jit
+def is_occluded(bvh, stack, o, d):
+    """Does any triangle meet the open segment from o to o + d? `stack` is (STACK,) int32 scratch."""
+    boxes, kids, corners = bvh.boxes, bvh.kids, bvh.corners
+    inv = Vec3(_safe_rcp(d.x), _safe_rcp(d.y), _safe_rcp(d.z))
+    depth, node = 0, 0
+    while True:
+        hit0, t0 = _enter(boxes, node, 0, o, inv, ONE)
+        hit1, t1 = _enter(boxes, node, 1, o, inv, ONE)
+        kid0, kid1 = kids[node, 0], kids[node, 1]
+        if hit0 and kid0 < 0:
+            if _leaf_blocks(corners, kid0, o, d):
+                return True
+            hit0 = False
+        if hit1 and kid1 < 0:
+            if _leaf_blocks(corners, kid1, o, d):
+                return True
+            hit1 = False
+        if hit0 and hit1:
+            node, stack[depth] = (kid0, kid1) if t0 <= t1 else (kid1, kid0)
+            depth += 1
+        elif hit0:
+            node = kid0
+        elif hit1:
+            node = kid1
+        elif depth == 0:
+            return False
+        else:
+            depth -= 1
+            node = stack[depth]
+
+
+@device_jit
+def _leaf_closest(corners, leaf, o, d, best, found, bu, bv):
+    code = -leaf - 1
+    for k in range(code >> 3, (code >> 3) + (code & 7)):
+        t, u, v = _meet(corners, k, o, d)
+        if t > ZERO and t < best:
+            best, found, bu, bv = t, k, u, v
+    return best, found, bu, bv
+
+
+@device_jit
+def closest_hit(bvh, stack, o, d, reach):
+    """(t, slot, u, v) of the nearest triangle along o + t d with 0 < t < reach; slot is -1 where there is none.
+
+    `slot` indexes `bvh.corners` and `bvh.source`. Nearer children come first; a stacked node that has fallen behind the
+    best hit fails its box tests at once, because both children are tested against the shortened reach.
+    """
+    boxes, kids, corners = bvh.boxes, bvh.kids, bvh.corners
+    inv = Vec3(_safe_rcp(d.x), _safe_rcp(d.y), _safe_rcp(d.z))
+    depth, node = 0, 0
+    best, found, bu, bv = reach, -1, ZERO, ZERO
+    while True:
+        hit0, t0 = _enter(boxes, node, 0, o, inv, best)
+        hit1, t1 = _enter(boxes, node, 1, o, inv, best)
+        kid0, kid1 = kids[node, 0], kids[node, 1]
+        if hit0 and kid0 < 0:
+            best, found, bu, bv = _leaf_closest(corners, kid0, o, d, best, found, bu, bv)
+            hit0 = False
+        if hit1 and kid1 < 0:
+            best, found, bu, bv = _leaf_closest(corners, kid1, o, d, best, found, bu, bv)
+            hit1 = False
+        if hit0 and hit1:
+            node, stack[depth] = (kid0, kid1) if t0 <= t1 else (kid1, kid0)
+            depth += 1
+        elif hit0:
+            node = kid0
+        elif hit1:
+            node = kid1
+        elif depth == 0:
+            return best, found, bu, bv
+        else:
+            depth -= 1
+            node = stack[depth]
+
+
+@device_jit
+def triangle_normal(bvh, slot):
+    """Unit geometric normal of the triangle in `slot`, by its winding; (0, 0, 1) for one without area."""
+    c = bvh.corners
+    n = cross(Vec3(c[slot, 3], c[slot, 4], c[slot, 5]), Vec3(c[slot, 6], c[slot, 7], c[slot, 8]))
+    size = math.sqrt(dot(n, n))
+    if size > ZERO:
+        return Vec3(n.x / size, n.y / size, n.z / size)
+    return Vec3(ZERO, ZERO, ONE)

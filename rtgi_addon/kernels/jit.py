@@ -1,0 +1,108 @@
+"""The only file that holds numba's options: two decorators, the cache's place, threads, and the compile clock.
+
+FAST is every fast-math flag but `nnan` and `ninf`: kernels test for NaN, and those two would make the tests lie. The
+cache folder is named by a hash of all kernel and pass sources, because numba checks only the file of the caller and
+would serve stale code after an edit of a helper elsewhere.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numba
+from numba import prange
+from numba.core import event
+
+__all__ = ["cache_dir", "compile_clock", "device_jit", "kernel_session", "pixel_jit", "prange", "set_cache_root",
+           "threading_layer"]
+
+FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
+_PACKAGE = Path(__file__).resolve().parent.parent
+_cache_root: Path | None = None
+_kernel_lock = threading.Lock()
+
+
+def set_cache_root(root: str | os.PathLike) -> None:
+    """Where compiled kernels may be kept; call it before any kernel module is imported."""
+    global _cache_root
+    _cache_root = Path(root)
+
+
+def _sources_hash() -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    for folder in ("kernels", "passes"):
+        for path in sorted((_PACKAGE / folder).glob("*.py")):
+            digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cache_dir() -> Path:
+    """Folder of this source state's compiled kernels: under $NUMBA_CACHE_DIR, the set root, or the user's cache."""
+    root = os.environ.get("NUMBA_CACHE_DIR") or _cache_root
+    if root is None:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        root = Path(base) / "rtgi" / "numba"
+    folder = Path(root) / _sources_hash()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:                              # a read-only home: compile for this process only
+        folder = Path(tempfile.mkdtemp(prefix="rtgi_numba_"))
+    return folder
+
+
+_CACHE = str(cache_dir())
+
+
+def _with_cache(decorate: Callable) -> Callable:
+    """numba reads CACHE_DIR at decoration: point it to ours just then, so that other add-ons keep theirs."""
+    def wrapper(function: Callable) -> Callable:
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE
+        try:
+            return decorate(function)
+        finally:
+            numba.config.CACHE_DIR = before
+    return wrapper
+
+
+def device_jit(function: Callable) -> Callable:
+    """A helper that kernels call, or a serial kernel."""
+    return _with_cache(numba.njit(fastmath=FAST, error_model="numpy", nogil=True, cache=True))(function)
+
+
+def pixel_jit(function: Callable) -> Callable:
+    """A kernel over independent pixels, texels or points with `prange`; bitwise the same on any number of threads."""
+    return _with_cache(numba.njit(fastmath=FAST, error_model="numpy", nogil=True, parallel=True, cache=True))(function)
+
+
+@contextlib.contextmanager
+def kernel_session(threads: int = 0) -> Iterator[None]:
+    """Run kernels on `threads` threads (0: all); one session at a time, since some threading layers abort otherwise."""
+    with _kernel_lock:
+        before = numba.get_num_threads()
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS) if threads > 0 else numba.config.NUMBA_NUM_THREADS)
+        try:
+            yield
+        finally:
+            numba.set_num_threads(before)
+
+
+def threading_layer() -> str:
+    """Name of numba's threading layer, or "none yet" before the first parallel kernel ran."""
+    try:
+        return numba.threading_layer()
+    except ValueError:
+        return "none yet"
+
+
+@contextlib.contextmanager
+def compile_clock() -> Iterator[Callable[[], float]]:
+    """Yields a function that returns the seconds spent compiling since entry."""
+    listener = event.TimingListener()
+    with event.install_listener("numba:compile", listener):
+        yield lambda: listener.duration if listener.done else 0.0

@@ -1,0 +1,60 @@
+"""Numbers that look random but are functions of (pixel, sample, seed): the same for every order and number of threads."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .jit import device_jit
+from .vec3 import ONE, ZERO, Vec3, f32
+
+TWO_PI = f32(2 * math.pi)
+_LOW = np.uint64(0xFFFFFFFF)
+
+
+@device_jit
+def uniform(a, b, c):
+    """Hash of three integers to [0, 1); integer arithmetic only (constants of the lowbias32 family)."""
+    h = (np.uint64(a) * np.uint64(0x9E3779B1) + np.uint64(b) * np.uint64(0x85EBCA77)
+         + np.uint64(c) * np.uint64(0xC2B2AE3D)) & _LOW
+    h = ((h ^ (h >> np.uint64(15))) * np.uint64(0x2C1B3C6D)) & _LOW
+    h = ((h ^ (h >> np.uint64(12))) * np.uint64(0x297A2D39)) & _LOW
+    return f32((h ^ (h >> np.uint64(15))) >> np.uint64(8)) * f32(1 / 16777216)
+
+
+@device_jit
+def r2_sequence(i, shift_u, shift_v):
+    """Point i of the two-dimensional R2 sequence (Roberts 2018), shifted by a number of [0, 1) an axis."""
+    u = (np.float64(i) * 0.7548776662466927 + np.float64(shift_u)) % 1.0
+    v = (np.float64(i) * 0.5698402909980532 + np.float64(shift_v)) % 1.0
+    return min(f32(u), f32(0.99999994)), min(f32(v), f32(0.99999994))
+
+
+@device_jit
+def disk(u, v):
+    """Point of the unit disk from [0, 1)^2, by Shirley and Chiu's concentric map: neighbours stay neighbours."""
+    a, b = f32(2) * u - ONE, f32(2) * v - ONE
+    if a == ZERO and b == ZERO:
+        return ZERO, ZERO
+    if abs(a) > abs(b):
+        r, phi = a, f32(math.pi / 4) * (b / a)
+    else:
+        r, phi = b, f32(math.pi / 2) - f32(math.pi / 4) * (a / b)
+    return r * math.cos(phi), r * math.sin(phi)
+
+
+@device_jit
+def cosine_hemisphere(u, v):
+    """Direction of the tangent frame with density cos(theta) / pi."""
+    x, y = disk(u, v)
+    return Vec3(x, y, math.sqrt(max(ZERO, ONE - x * x - y * y)))
+
+
+@device_jit
+def uniform_sphere(u, v):
+    """Unit vector with density 1 / (4 pi)."""
+    z = ONE - f32(2) * u
+    r = math.sqrt(max(ZERO, ONE - z * z))
+    phi = TWO_PI * v
+    return Vec3(r * math.cos(phi), r * math.sin(phi), z)

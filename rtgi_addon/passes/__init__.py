@@ -1,0 +1,18 @@
+"""The techniques, one a file, and their registry. Nothing in here imports Blender."""
+
+from __future__ import annotations
+
+from ..errors import InputError
+from .base import Technique
+from .direct import TECHNIQUE as _DIRECT
+from .rsm import TECHNIQUE as _RSM
+from .world import TECHNIQUE as _WORLD
+
+TECHNIQUES: dict[str, Technique] = {t.name: t for t in (_DIRECT, _WORLD, _RSM)}
+
+
+def technique(name: str) -> Technique:
+    """The registered technique called `name`; InputError with the known names otherwise."""
+    if name not in TECHNIQUES:
+        raise InputError(f"no technique is called {name!r}; known are {', '.join(TECHNIQUES)}")
+    return TECHNIQUES[name]

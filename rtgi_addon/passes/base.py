@@ -1,0 +1,95 @@
+"""What every technique is: a named function from a frame to light on some transports."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..core.frame import Frame, Geometry
+from ..core.params import Params
+from ..errors import Cancelled
+
+
+class Transport(enum.Enum):
+    """A kind of light path; `composite` lets each have one owner only.
+
+    Diffuse transports are irradiance (W/m2) on the pixel's surface; glossy ones are radiance (W/(m2 sr)) that leaves the
+    pixel towards the camera, colour included.
+    """
+
+    DIRECT_DIFFUSE = "direct diffuse"
+    DIRECT_GLOSSY = "direct glossy"
+    WORLD_DIFFUSE = "world diffuse"
+    WORLD_GLOSSY = "world glossy"
+    BOUNCE_DIFFUSE = "bounce diffuse"
+    BOUNCE_GLOSSY = "bounce glossy"
+
+    @property
+    def is_diffuse(self) -> bool:
+        return self in (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.BOUNCE_DIFFUSE)
+
+
+@dataclass(frozen=True)
+class PassResult:
+    """What a pass gives: (H, W, 3) float32 a transport, an optional visibility (H, W) float32 in [0, 1], diagnostics."""
+
+    light: dict[Transport, np.ndarray]
+    visibility: np.ndarray | None = None
+    diagnostics: dict[str, Any] = field(default_factory=dict)
+
+
+class Context:
+    """What a running pass may ask of its surroundings: whether to stop, where to report, and the scene's BVH.
+
+    The BVH is built at most once for the same triangles, also over frames.
+    """
+
+    def __init__(self, is_cancelled: Callable[[], bool] = lambda: False,
+                 report: Callable[[str, float], None] = lambda text, share: None):
+        self.is_cancelled, self._report = is_cancelled, report
+        self._bvh_of: np.ndarray | None = None
+        self._bvh: Any = None
+        self.seconds: dict[str, float] = {}
+
+    def listen(self, is_cancelled: Callable[[], bool], report: Callable[[str, float], None]) -> None:
+        """Follow another render's Esc and progress; what is cached stays."""
+        self.is_cancelled, self._report = is_cancelled, report
+
+    def checkpoint(self, text: str = "", share: float = 0.0) -> None:
+        """Between tiles and stages: raise Cancelled if the user asked for it, else show `text` and `share` in [0, 1]."""
+        if self.is_cancelled():
+            raise Cancelled("the render was cancelled")
+        if text:
+            self._report(text, share)
+
+    def bvh(self, geometry: Geometry) -> Any:
+        """`kernels.bvh.Bvh` over the triangles of `geometry`."""
+        from ..kernels.bvh import build_bvh
+
+        same = self._bvh_of is geometry.corners_ws or (
+            self._bvh_of is not None and np.array_equal(self._bvh_of, geometry.corners_ws))
+        if not same:
+            self._bvh = build_bvh(geometry.corners_ws)
+        self._bvh_of = geometry.corners_ws
+        return self._bvh
+
+
+@dataclass(frozen=True)
+class Technique:
+    """A registry line.
+
+    `compute(frame, params, context, seed)` returns a PassResult; `transports` is what it may supply; `needs_geometry`
+    and `needs_views` tell the planner what to capture.
+    """
+
+    name: str
+    label: str
+    params: type[Params]
+    compute: Callable[[Frame, Any, Context, int], PassResult]
+    transports: frozenset[Transport]
+    needs_geometry: bool = False
+    needs_views: bool = False
