@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -19,19 +18,13 @@ import numba
 from numba import prange
 from numba.core import event
 
-__all__ = ["cache_dir", "compile_clock", "device_jit", "kernel_session", "pixel_jit", "prange", "set_cache_root",
-           "threading_layer"]
+from ..core.cache_root import cache_root
+
+__all__ = ["cache_dir", "compile_clock", "device_jit", "kernel_session", "pixel_jit", "prange", "threading_layer"]
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 _PACKAGE = Path(__file__).resolve().parent.parent
-_cache_root: Path | None = None
 _kernel_lock = threading.Lock()
-
-
-def set_cache_root(root: str | os.PathLike) -> None:
-    """Where compiled kernels may be kept; call it before any kernel module is imported."""
-    global _cache_root
-    _cache_root = Path(root)
 
 
 def _sources_hash() -> str:
@@ -44,11 +37,7 @@ def _sources_hash() -> str:
 
 def cache_dir() -> Path:
     """Folder of this source state's compiled kernels: under $NUMBA_CACHE_DIR, the set root, or the user's cache."""
-    root = os.environ.get("NUMBA_CACHE_DIR") or _cache_root
-    if root is None:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        root = Path(base) / "rtgi" / "numba"
-    folder = Path(root) / _sources_hash()
+    folder = cache_root() / _sources_hash()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:                              # a read-only home: compile for this process only

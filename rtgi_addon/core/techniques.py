@@ -1,0 +1,128 @@
+"""The parameters of every technique and the presets: numpy-free data that panels, command line and passes share.
+
+Each technique has one frozen dataclass; its fields carry range, unit and description, and everything a user sees of them
+is made from those. The passes import their dataclass from here, so that panels can be built without loading a kernel.
+A new technique adds its dataclass, one line in `TECHNIQUE_PARAMS` and, where its cost has a knob, lines in `PRESET_PARAMS`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import InputError
+from .params import Params, param
+from .settings import PRESETS, Settings
+
+
+@dataclass(frozen=True)
+class DirectParams(Params):
+    """Light of lamps that reaches a pixel without a bounce."""
+
+    soft_shadow_rays: int = param(
+        32, "Rays towards a lamp that has a size, at each pixel in its half shadow; noise falls with the square root",
+        low=1, high=1024, soft_high=256)
+    exact_shadows: bool = param(
+        False, "Trace a ray at every pixel instead of trusting the shadow map; slower, and the yardstick for the map")
+
+
+@dataclass(frozen=True)
+class WorldParams(Params):
+    """Light of the world's background that reaches a pixel without a bounce."""
+
+    rays: int = param(
+        32, "Rays into the sky from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
+    lattice_px: int = param(
+        4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
+        low=1, high=16, soft_high=8, unit="px")
+
+
+@dataclass(frozen=True)
+class RsmParams(Params):
+    """Reflective shadow maps: the surfaces that a lamp lights, seen from the lamp, give the bounce."""
+
+    method: str = param(
+        "VISIBLE", "How the lit texels are gathered",
+        choices=(("VISIBLE", "Visibility rays",
+                  "Lit texels in clusters, rays through the scene's triangles decide what is seen: no light through walls"),
+                 ("ALL", "All texels", "Every lit texel, or an even share of them; what stands between is not noticed"),
+                 ("PAPER", "As published",
+                  "Samples on a disk around the pixel's place in the map (Dachsbacher and Stamminger 2005), no visibility")))
+    samples: int = param(
+        400, "Texels summed at each pixel by the methods without visibility", low=1, high=16384, soft_high=4096)
+    radius: float = param(
+        0.3, "Radius of the disk of samples as a share of the map's width; light from outside it is missing",
+        low=0.001, high=1.0)
+    weighting: str = param(
+        "UNBIASED", "Weight of a sample at distance r from the centre of the disk",
+        choices=(("UNBIASED", "Unbiased", "Weight by the density of the samples, which is proportional to r"),
+                 ("PUBLISHED", "As published", "Weight r squared, as printed in the paper: energy is not kept")))
+    lattice_px: int = param(
+        4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
+        low=1, high=16, soft_high=8, unit="px")
+    rays: int = param(
+        32, "Visibility rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
+    clusters: int = param(
+        1024, "Groups that the lit texels of all lamps are put into; more follow small bright places better",
+        low=16, high=16384, soft_high=4096)
+    glossy_texels: bool = param(
+        True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing")
+
+
+TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams}
+
+# these run in every render and have no toggle
+ALWAYS_ON = ("direct", "world")
+
+LABELS: dict[str, str] = {
+    "direct": "Direct Light",
+    "world": "World Light",
+    "rsm": "Reflective Shadow Maps",
+}
+
+# a preset decides exactly these; every other parameter is the user's own
+PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
+    "DRAFT": {
+        "direct": {"soft_shadow_rays": 8},
+        "world": {"lattice_px": 8, "rays": 16},
+        "rsm": {"lattice_px": 8, "rays": 16, "clusters": 512},
+    },
+    "BALANCED": {
+        "direct": {"soft_shadow_rays": 32},
+        "world": {"lattice_px": 4, "rays": 32},
+        "rsm": {"lattice_px": 4, "rays": 32, "clusters": 1024},
+    },
+    "QUALITY": {
+        "direct": {"soft_shadow_rays": 128},
+        "world": {"lattice_px": 2, "rays": 64},
+        "rsm": {"lattice_px": 2, "rays": 64, "clusters": 2048},
+    },
+}
+
+
+def optional_techniques() -> tuple[str, ...]:
+    """The techniques that a user can switch on and off, in the order of the panel."""
+    return tuple(name for name in TECHNIQUE_PARAMS if name not in ALWAYS_ON)
+
+
+def preset_params(preset: str) -> dict[str, Params]:
+    """Parameters of every technique under a preset; InputError for an unknown one."""
+    if preset not in PRESET_PARAMS:
+        raise InputError(f"preset must be one of {', '.join(p[0].lower() for p in PRESETS)}, got {preset.lower()!r}")
+    changes = PRESET_PARAMS[preset]
+    return {name: dataclasses.replace(kind(), **changes.get(name, {})) for name, kind in TECHNIQUE_PARAMS.items()}
+
+
+def default_settings(preset: str = "BALANCED", techniques: tuple[str, ...] | list[str] | None = None) -> Settings:
+    """Settings of a preset.
+
+    `techniques` None lets the planner choose among all of them; a list runs exactly these (and what always runs).
+    InputError for an unknown name.
+    """
+    for name in techniques or ():
+        if name not in TECHNIQUE_PARAMS:
+            raise InputError(f"no technique is called {name!r}; known are {', '.join(TECHNIQUE_PARAMS)}")
+    wanted = TECHNIQUE_PARAMS if techniques is None else (*ALWAYS_ON, *techniques)
+    return Settings(preset=preset, use_auto=techniques is None,
+                    enabled={name: name in wanted for name in TECHNIQUE_PARAMS}, params=preset_params(preset))
