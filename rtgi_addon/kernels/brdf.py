@@ -65,7 +65,8 @@ def _gains(steps, quadrature):
 
 
 @functools.cache
-def _gain_table() -> np.ndarray:
+def gain_table() -> np.ndarray:
+    """(GAIN_STEPS, GAIN_STEPS) float32 gains over the cosine of `fixed` and GGX alpha, cell centres at + 0.5."""
     return _gains(GAIN_STEPS, 48)
 
 
@@ -73,4 +74,4 @@ def lobe_gain(cos_fixed: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """1 / (hemispherical integral of `ggx_lobe`) for cosines of `fixed` and GGX alphas (squared roughness), (N,) each."""
     row = np.clip((cos_fixed * GAIN_STEPS).astype(np.int32), 0, GAIN_STEPS - 1)
     column = np.clip((alpha * GAIN_STEPS).astype(np.int32), 0, GAIN_STEPS - 1)
-    return _gain_table()[row, column]
+    return gain_table()[row, column]

@@ -1,0 +1,253 @@
+"""Views of the scene through Cycles: the camera's, and each light's, on one session, read from memory.
+
+Cycles renders whatever the engine's evaluated camera looks at. `ViewCapture` moves that copy, renders, reads the passes
+and puts everything back; the user's own camera is never written. A view asks Cycles for one sample at the pixel's
+centre and for no light at all (see `lights.lights_out`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..core.frame import GBuffer
+from ..core.transforms import Camera, Projection
+from ..errors import CaptureError, InputError
+from .lights import rigid
+from .versions import HAS_ROUGHNESS_PASS, pass_name
+
+_CAMERA_FIELDS = ("type", "lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y", "ortho_scale",
+                  "clip_start", "clip_end", "panorama_type", "latitude_min", "latitude_max", "longitude_min",
+                  "longitude_max")
+_SENSOR_M = 36.0            # any width serves: only its ratio to the focal length matters
+_NOTHING_M = 0.99e10        # Cycles writes 1e10 where a ray meets nothing
+_ROUGHNESS = "Denoising Roughness"
+
+
+@dataclass(frozen=True)
+class Needs:
+    """Which passes the frame needs beyond depth, normal and diffuse colour."""
+
+    glossy: bool = True
+    emission: bool = False
+    environment: bool = False
+    material_index: bool = False
+
+    def passes(self) -> list[tuple[str, str, str]]:
+        """(name, channels, kind) for `RenderEngine.register_pass`, by the running Blender's names."""
+        wanted = [("Depth", "Z", "VALUE"), ("Normal", "XYZ", "VECTOR"), ("Diffuse Color", "RGB", "COLOR")]
+        if self.glossy:
+            wanted.append(("Glossy Color", "RGB", "COLOR"))
+            if HAS_ROUGHNESS_PASS:
+                wanted.append((_ROUGHNESS, "X", "VALUE"))
+        if self.emission:
+            wanted.append(("Emission", "RGB", "COLOR"))
+        if self.environment:
+            wanted.append(("Environment", "RGB", "COLOR"))
+        if self.material_index:
+            wanted.append(("Material Index", "X", "VALUE"))
+        return [(pass_name(name), channels, kind) for name, channels, kind in wanted]
+
+
+@dataclass(frozen=True)
+class Window:
+    """The part of the full frame that is rendered: all of it, or the border.
+
+    Fractions of the full frame's width and height, y upwards; `aspect` is the full frame's width over its height as
+    shown (pixel aspect included).
+    """
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+    aspect: float
+
+    @property
+    def is_whole(self) -> bool:
+        return (self.left, self.right, self.bottom, self.top) == (0.0, 1.0, 0.0, 1.0)
+
+    def full_edges(self, left: float, right: float, bottom: float, top: float) -> tuple[float, float, float, float]:
+        """Edges of the full frame's image plane whose window has the given edges."""
+        width, height = (right - left) / (self.right - self.left), (top - bottom) / (self.top - self.bottom)
+        full_left, full_bottom = left - self.left * width, bottom - self.bottom * height
+        return full_left, full_left + width, full_bottom, full_bottom + height
+
+    def window_edges(self, left: float, right: float, bottom: float, top: float) -> tuple[float, float, float, float]:
+        """Edges of the window in a full frame with the given edges."""
+        width, height = right - left, top - bottom
+        return (left + self.left * width, left + self.right * width,
+                bottom + self.bottom * height, bottom + self.top * height)
+
+    @property
+    def shown_aspect(self) -> float:
+        """Width over height of the window as shown."""
+        return self.aspect * (self.right - self.left) / (self.top - self.bottom)
+
+
+def read_window(render: bpy.types.RenderSettings) -> Window:
+    """The window of a scene's render settings, with Blender's own rounding of the border to pixels."""
+    width = max(1, render.resolution_x * render.resolution_percentage // 100)
+    height = max(1, render.resolution_y * render.resolution_percentage // 100)
+    aspect = width * render.pixel_aspect_x / (height * render.pixel_aspect_y)
+    if not render.use_border:
+        return Window(0.0, 1.0, 0.0, 1.0, aspect)
+    left, right = int(render.border_min_x * width), int(render.border_max_x * width)
+    bottom, top = int(render.border_min_y * height), int(render.border_max_y * height)
+    if right <= left or top <= bottom:
+        raise InputError("the render border is smaller than one pixel; draw a larger one or switch it off in Output Properties")
+    return Window(left / width, right / width, bottom / height, top / height, aspect)
+
+
+def main_camera(camera: bpy.types.Object, window: Window, size: tuple[int, int], origin_ws: np.ndarray) -> Camera:
+    """The evaluated main camera as it looks through `window`; InputError for a panoramic one."""
+    data = camera.data
+    if data.type not in {"PERSP", "ORTHO"}:
+        raise InputError(f"camera {camera.name!r} is panoramic, which RTGI cannot render; set its type to Perspective or "
+                         "Orthographic in the camera's Lens panel")
+    by_width = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and window.aspect >= 1)
+    if data.type == "ORTHO":
+        extent = data.ortho_scale
+    else:
+        sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
+        extent = sensor / data.lens
+    # the fitted edge has the full extent; shifts count in it on both axes
+    half_x = extent / 2 if by_width else extent / 2 * window.aspect
+    half_y = extent / 2 / window.aspect if by_width else extent / 2
+    shift_x, shift_y = data.shift_x * extent, data.shift_y * extent
+    edges = window.window_edges(shift_x - half_x, shift_x + half_x, shift_y - half_y, shift_y + half_y)
+    world_from_view, _ = rigid(np.array(camera.matrix_world, np.float64))
+    world_from_view[:3, 3] -= origin_ws
+    projection = Projection.ORTHOGRAPHIC if data.type == "ORTHO" else Projection.PERSPECTIVE
+    return Camera(projection, world_from_view, *size, *edges)
+
+
+class ViewCapture:
+    """Renders views on one Cycles session.
+
+    Parameters
+    ----------
+    engine : the running RenderEngine, whose `session` is a Cycles session.
+    data, depsgraph : as Blender hands them to `update` and `render`.
+    window : Window
+    origin_ws : (3,) float64 m, taken off every position.
+    material_roughness : (N,) float or None
+        Roughness by material index, for a Blender without a roughness pass.
+    """
+
+    def __init__(self, engine: bpy.types.RenderEngine, data: bpy.types.BlendData, depsgraph: bpy.types.Depsgraph,
+                 window: Window, origin_ws: np.ndarray, material_roughness: np.ndarray | None = None):
+        self.engine, self.data, self.depsgraph = engine, data, depsgraph
+        self.window, self.origin_ws, self.material_roughness = window, origin_ws, material_roughness
+        self.seconds = 0.0
+
+    def _passes(self) -> dict[str, np.ndarray]:
+        """Render the view and read its passes: (H, W, C) float32 with row 0 at the top."""
+        from cycles import engine as cycles_engine
+
+        cycles_engine.reset(self.engine, self.data, self.depsgraph)
+        cycles_engine.render(self.engine, self.depsgraph)
+        result = self.engine.get_result()
+        if result is None:
+            raise CaptureError("Cycles returned no render result; look at its messages above")
+        width, height, out = result.resolution_x, result.resolution_y, {}
+        for render_pass in result.layers[self.depsgraph.view_layer.name].passes:
+            if render_pass.name == "Combined":
+                continue
+            flat = np.empty(width * height * render_pass.channels, np.float32)
+            render_pass.rect.foreach_get(flat)
+            out[render_pass.name] = flat.reshape(height, width, render_pass.channels)[::-1]
+        return out
+
+    @contextlib.contextmanager
+    def looking_through(self, camera: Camera, clip_start_m: float, clip_end_m: float) -> Iterator[None]:
+        """Move the evaluated camera to `camera` for the time of the context."""
+        place = self.engine.camera_override
+        data = place.data
+        world = place.matrix_world.copy()
+        saved = {name: getattr(data, name) for name in _CAMERA_FIELDS}
+        left, right, bottom, top = self.window.full_edges(camera.left, camera.right, camera.bottom, camera.top)
+        width = right - left
+        try:
+            matrix = camera.world_from_view.copy()
+            matrix[:3, 3] += self.origin_ws
+            place.matrix_world = Matrix(matrix)
+            data.sensor_fit, data.sensor_width = "HORIZONTAL", _SENSOR_M
+            data.clip_start, data.clip_end = clip_start_m, clip_end_m
+            data.shift_x, data.shift_y = (left + right) / 2 / width, (bottom + top) / 2 / width
+            if camera.projection is Projection.PERSPECTIVE:
+                data.type, data.lens = "PERSP", _SENSOR_M / width
+            elif camera.projection is Projection.ORTHOGRAPHIC:
+                data.type, data.ortho_scale = "ORTHO", width
+            else:
+                data.type, data.panorama_type, data.shift_x, data.shift_y = "PANO", "EQUIRECTANGULAR", 0.0, 0.0
+                data.longitude_min, data.longitude_max = left, right
+                data.latitude_min, data.latitude_max = bottom, top
+            yield
+        finally:
+            place.matrix_world = world
+            for name, value in saved.items():
+                setattr(data, name, value)
+
+    def gbuffer(self, camera: Camera) -> GBuffer:
+        """What the evaluated camera sees now; `camera` must describe it."""
+        return self._to_gbuffer(self._passes(), camera)
+
+    def environment(self, camera: Camera) -> np.ndarray:
+        """(H, W, 3) float32 radiance of the world alone: the view starts behind everything."""
+        with self.looking_through(camera, 1e6, 2e6):
+            return np.nan_to_num(self._passes()[pass_name("Environment")], posinf=0.0, neginf=0.0)
+
+    def _to_gbuffer(self, passes: dict[str, np.ndarray], camera: Camera) -> GBuffer:
+        depth = passes["Depth"][..., 0]
+        seen = (depth > 0) & (depth < _NOTHING_M)
+        depth = np.where(seen, depth, np.float32(np.inf))
+        clean = {name: np.nan_to_num(values, posinf=0.0, neginf=0.0) for name, values in passes.items() if name != "Depth"}
+        normal = clean["Normal"]
+        # an emissive or holdout surface has no closure to give a normal: let it face the viewer
+        towards = camera.world_from_view[:3, 2].astype(np.float32)
+        length = np.linalg.norm(normal, axis=-1, keepdims=True)
+        normal = np.where(seen[..., None], np.where(length > 0.1, normal / np.maximum(length, 1e-6), towards),
+                          np.float32([0, 0, 1])).astype(np.float32)
+        albedo = clean[pass_name("Diffuse Color")]
+        black = np.zeros_like(albedo)
+        specular = clean.get(pass_name("Glossy Color"), black)
+        emission = np.where(seen[..., None], clean.get(pass_name("Emission"), black),
+                            clean.get(pass_name("Environment"), black))
+        arrays = (depth, camera.positions_ws(depth), normal, np.where(seen[..., None], albedo, 0),
+                  np.where(seen[..., None], specular, 0), self._roughness(clean, albedo, specular), emission)
+        return GBuffer(*(np.ascontiguousarray(a, np.float32) for a in arrays))
+
+    def _roughness(self, passes: dict[str, np.ndarray], albedo: np.ndarray, specular: np.ndarray) -> np.ndarray:
+        """(H, W) perceptual roughness.
+
+        Blender 5.2's denoising pass is the mean over the lobes weighted by their albedo, with the diffuse lobe as 1:
+        R = (d + g r) / (d + g) gives r. Before that the material's own number serves.
+        """
+        if _ROUGHNESS in passes:
+            d, g = albedo.mean(-1), specular.mean(-1)
+            rough = (passes[_ROUGHNESS][..., 0] * (d + g) - d) / np.maximum(g, 1e-4)
+            return np.where(g > 1e-4, np.clip(rough, 0, 1), 1.0)
+        index = passes.get(pass_name("Material Index"))
+        if index is None or self.material_roughness is None or not len(self.material_roughness):
+            return np.ones(albedo.shape[:2], np.float32)
+        return self.material_roughness[np.clip(index[..., 0].astype(np.int32), 0, len(self.material_roughness) - 1)]
+
+
+def full_sphere(width_px: int, height_px: int, world_from_view: np.ndarray) -> Camera:
+    """The equirectangular view of all directions."""
+    return Camera(Projection.EQUIRECTANGULAR, world_from_view, width_px, height_px, -math.pi, math.pi, -math.pi / 2,
+                  math.pi / 2)
+
+
+def world_axes() -> np.ndarray:
+    """world_from_view (4, 4) of a view whose centre looks along +Y with +Z up: the axes of `core.frame.World`."""
+    out = np.eye(4)
+    out[:3, :3] = np.stack([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]], 1)
+    return out

@@ -1,0 +1,278 @@
+"""Texels of reflective shadow maps as one table, grouped into clusters that stand for them at a distance.
+
+The texel table is (16, N) float32, N innermost: position (3), normal (3), diffuse reflected flux W (3), unit direction to
+the light (3), glossy reflected flux W (3, the lobe's gain in it), GGX alpha squared (NO_LOBE marks a texel without a
+glossy lobe). Each cluster is a contiguous run of columns.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .brdf import GAIN_STEPS
+from .jit import device_jit, pixel_jit, prange
+from .vec3 import ONE, ZERO, Vec3, dot, f32, load_pixel, normalized_or, sub
+
+# rows of the texel table
+POSITION, NORMAL, DIFFUSE, TO_LIGHT, GLOSSY, ALPHA2 = 0, 3, 6, 9, 12, 15
+ROWS = 16
+NO_LOBE = f32(2)
+# rows of the cluster table
+C_POSITION, C_NORMAL, C_DIFFUSE, C_RADIUS2, C_TO_LIGHT, C_GLOSSY, C_ALPHA2 = 0, 3, 6, 7, 8, 11, 12
+CLUSTER_ROWS = 13
+MIN_ALPHA = f32(0.1)        # sharper lobes are widened: in a gather their noise costs more than their blur
+LOBE_SHARE = f32(1e-3)      # a glossy lobe below this share of the texel's flux is dropped
+NORMAL_WEIGHT = 0.15        # how far apart in scene sizes two opposite normals count, when clusters are split
+
+
+class Clusters(NamedTuple):
+    """Texels in cluster order and their means, as the gather takes them.
+
+    texels (16, N) float32; table (13, C) float32: mean position, mean unit normal, mean diffuse flux (summed), largest
+    squared distance of a texel, mean direction to the light, mean glossy flux, alpha squared widened by the spread;
+    start, end (C,) int64: the columns of each cluster; running (N + 1,) float64: flux summed over the columns before.
+    """
+
+    texels: np.ndarray
+    table: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    running: np.ndarray
+
+
+@pixel_jit
+def fill_texels(table, offset, first, position, normal, albedo, specular, roughness, flux, light_position, to_sun,
+                is_sun, gains, use_glossy):
+    """Write the lit texels of one view to columns `offset` + first[row] + ... of `table`, row by row of the image."""
+    height, width = roughness.shape
+    for i in prange(height):
+        k = offset + first[i]
+        for j in range(width):
+            if flux[i, j, 0] + flux[i, j, 1] + flux[i, j, 2] <= ZERO:
+                continue
+            p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
+            w = to_sun if is_sun else normalized_or(sub(light_position, p), n)
+            alpha = min(max(roughness[i, j] * roughness[i, j], MIN_ALPHA), ONE)
+            cosine = min(max(dot(n, w), ZERO), f32(0.999))
+            gain = gains[int(cosine * f32(GAIN_STEPS)), min(int(alpha * f32(GAIN_STEPS)), GAIN_STEPS - 1)]
+            diffuse, glossy = ZERO, ZERO
+            for a in range(3):
+                table[DIFFUSE + a, k] = flux[i, j, a] * albedo[i, j, a]
+                table[GLOSSY + a, k] = flux[i, j, a] * specular[i, j, a] * gain if use_glossy else ZERO
+                diffuse += table[DIFFUSE + a, k]
+                glossy += table[GLOSSY + a, k]
+            if diffuse + glossy <= ZERO:
+                continue
+            table[POSITION, k], table[POSITION + 1, k], table[POSITION + 2, k] = p.x, p.y, p.z
+            table[NORMAL, k], table[NORMAL + 1, k], table[NORMAL + 2, k] = n.x, n.y, n.z
+            table[TO_LIGHT, k], table[TO_LIGHT + 1, k], table[TO_LIGHT + 2, k] = w.x, w.y, w.z
+            table[ALPHA2, k] = alpha * alpha if glossy > LOBE_SHARE * (diffuse + glossy) else NO_LOBE
+            k += 1
+
+
+@pixel_jit
+def count_texels(albedo, specular, flux, use_glossy):
+    """(H,) int64 number of texels a row that reflect light."""
+    out = np.zeros(flux.shape[0], np.int64)
+    for i in prange(flux.shape[0]):
+        count = 0
+        for j in range(flux.shape[1]):
+            reflected = ZERO
+            for a in range(3):
+                reflected += flux[i, j, a] * (albedo[i, j, a] + (specular[i, j, a] if use_glossy else ZERO))
+            count += 1 if reflected > ZERO else 0
+        out[i] = count
+    return out
+
+
+@device_jit
+def _moments(feature, weight, order, start, end, m1, m2):
+    """Total weight; m1 and m2 get the weighted sums of the features and of their squares."""
+    total = 0.0
+    for a in range(6):
+        m1[a] = m2[a] = 0.0
+    for k in range(start, end):
+        t = order[k]
+        w = np.float64(weight[t])
+        total += w
+        for a in range(6):
+            x = np.float64(feature[t, a])
+            m1[a] += w * x
+            m2[a] += w * x * x
+    return total
+
+
+@device_jit
+def _partition(feature, order, start, end, axis, cut):
+    """Columns up to `cut` first; returns where the second part starts."""
+    i, j = start, end - 1
+    while i <= j:
+        t = order[i]
+        if feature[t, axis] <= cut:
+            i += 1
+        else:
+            order[i], order[j] = order[j], t
+            j -= 1
+    return i
+
+
+@device_jit
+def _split(feature, weight, order, first, last, number, start, end):
+    """Best-first split of order[first:last] into at most `number` runs, written to start and end; returns how many.
+
+    Each step halves the cluster of largest weighted variance at the weighted mean of its widest feature.
+    """
+    cost, cut, axis = np.zeros(number), np.zeros(number), np.zeros(number, np.int64)
+    m1, m2 = np.zeros(6), np.zeros(6)
+    start[0], end[0], used = first, last, 1
+    changed0, changed1 = 0, -1
+    while True:
+        for c in (changed0, changed1):
+            if c < 0:
+                continue
+            total = _moments(feature, weight, order, start[c], end[c], m1, m2)
+            cost[c] = 0.0
+            if total > 0 and end[c] - start[c] > 1:
+                widest, sum_spread = -1.0, 0.0
+                for a in range(6):
+                    spread = m2[a] - m1[a] * m1[a] / total
+                    sum_spread += max(0.0, spread)
+                    if spread > widest:
+                        widest, axis[c], cut[c] = spread, a, m1[a] / total
+                cost[c] = sum_spread
+        worst = np.argmax(cost[:used])
+        if used == number or cost[worst] <= 0.0:
+            return used
+        middle = _partition(feature, order, start[worst], end[worst], axis[worst], cut[worst])
+        if middle == start[worst] or middle == end[worst]:
+            cost[worst] = 0.0                    # equal to the last digit: nothing to split
+            changed0, changed1 = -1, -1
+            continue
+        start[used], end[used], end[worst] = middle, end[worst], middle
+        changed0, changed1 = worst, used
+        used += 1
+
+
+@device_jit
+def _variance(feature, weight, order, start, end):
+    m1, m2 = np.zeros(6), np.zeros(6)
+    total = _moments(feature, weight, order, start, end, m1, m2)
+    out = 0.0
+    if total > 0:
+        for a in range(6):
+            out += max(0.0, m2[a] - m1[a] * m1[a] / total)
+    return out
+
+
+@pixel_jit
+def _group_variances(feature, weight, order, start, end):
+    out = np.zeros(start.shape[0])
+    for g in prange(start.shape[0]):
+        out[g] = _variance(feature, weight, order, start[g], end[g])
+    return out
+
+
+@pixel_jit
+def _split_groups(feature, weight, order, group_start, group_end, budget, first, start, end):
+    """Split each group into at most budget[g] clusters, written from index first[g]; returns how many each got."""
+    used = np.zeros(group_start.shape[0], np.int64)
+    for g in prange(group_start.shape[0]):
+        a, b = first[g], first[g] + budget[g]
+        used[g] = _split(feature, weight, order, group_start[g], group_end[g], budget[g], start[a:b], end[a:b])
+    return used
+
+
+GROUPS = 16                 # parts that are split side by side; their number must not follow the number of threads
+
+
+def _split_texels(feature: np.ndarray, weight: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(order, start, end): texel indices in cluster order, and each cluster's run in it."""
+    order = np.arange(len(weight))
+    groups = min(GROUPS, number)
+    start, end = np.zeros(groups, np.int64), np.zeros(groups, np.int64)
+    used = _split(feature, weight, order, 0, len(weight), groups, start, end)
+    start, end = start[:used], end[:used]
+    if number <= groups:
+        return order, start, end
+    # with n clusters a part's variance falls about as n^-2 in one dimension and n^-1 in two: share by the square root
+    root = np.sqrt(_group_variances(feature, weight, order, start, end))
+    share = root / root.sum() if root.sum() > 0 else np.full(used, 1 / used)
+    budget = np.maximum(1, np.floor(share * (number - used))).astype(np.int64)
+    first = np.concatenate([[0], np.cumsum(budget)[:-1]])
+    all_start, all_end = np.zeros(budget.sum(), np.int64), np.zeros(budget.sum(), np.int64)
+    got = _split_groups(feature, weight, order, start, end, budget, first, all_start, all_end)
+    kept = np.concatenate([np.arange(a, a + n) for a, n in zip(first, got, strict=True)])
+    by_column = kept[np.argsort(all_start[kept], kind="stable")]
+    return order, all_start[by_column], all_end[by_column]
+
+
+@pixel_jit
+def _features(table, normal_scale):
+    out = np.empty((table.shape[1], 6), np.float32)
+    weight = np.empty(table.shape[1], np.float32)
+    for k in prange(table.shape[1]):
+        for a in range(3):
+            out[k, a] = table[POSITION + a, k]
+            out[k, 3 + a] = table[NORMAL + a, k] * normal_scale
+        weight[k] = (table[DIFFUSE, k] + table[DIFFUSE + 1, k] + table[DIFFUSE + 2, k]
+                     + table[GLOSSY, k] + table[GLOSSY + 1, k] + table[GLOSSY + 2, k])
+    return out, weight
+
+
+@pixel_jit
+def _reorder(table, order):
+    out = np.empty(table.shape, np.float32)
+    for r in prange(table.shape[0]):
+        for k in range(table.shape[1]):
+            out[r, k] = table[r, order[k]]
+    return out
+
+
+@pixel_jit
+def _summarise(T, start, end):
+    """The cluster table of texels in cluster order."""
+    out = np.zeros((CLUSTER_ROWS, start.shape[0]), np.float32)
+    for c in prange(start.shape[0]):
+        px = py = pz = nx = ny = nz = lx = ly = lz = total = diffuse = glossy = alpha2 = 0.0
+        for k in range(start[c], end[c]):
+            d = np.float64(T[DIFFUSE, k]) + T[DIFFUSE + 1, k] + T[DIFFUSE + 2, k]
+            g = np.float64(T[GLOSSY, k]) + T[GLOSSY + 1, k] + T[GLOSSY + 2, k]
+            w = d + g
+            total, diffuse, glossy = total + w, diffuse + d, glossy + g
+            alpha2 += g * min(T[ALPHA2, k], ONE)
+            px, py, pz = px + w * T[0, k], py + w * T[1, k], pz + w * T[2, k]
+            nx, ny, nz = nx + w * T[NORMAL, k], ny + w * T[NORMAL + 1, k], nz + w * T[NORMAL + 2, k]
+            lx, ly, lz = lx + w * T[TO_LIGHT, k], ly + w * T[TO_LIGHT + 1, k], lz + w * T[TO_LIGHT + 2, k]
+        inv = 1 / max(total, 1e-300)
+        n_length = max(math.sqrt(nx * nx + ny * ny + nz * nz) * inv, 1e-9)
+        l_length = max(math.sqrt(lx * lx + ly * ly + lz * lz) * inv, 1e-9)
+        out[0, c], out[1, c], out[2, c] = px * inv, py * inv, pz * inv
+        out[C_NORMAL, c], out[C_NORMAL + 1, c], out[C_NORMAL + 2, c] = nx * inv / n_length, ny * inv / n_length, nz * inv / n_length
+        out[C_TO_LIGHT, c], out[C_TO_LIGHT + 1, c], out[C_TO_LIGHT + 2, c] = (
+            lx * inv / l_length, ly * inv / l_length, lz * inv / l_length)
+        radius2 = ZERO
+        for k in range(start[c], end[c]):
+            dx, dy, dz = T[0, k] - out[0, c], T[1, k] - out[1, c], T[2, k] - out[2, c]
+            radius2 = max(radius2, dx * dx + dy * dy + dz * dz)
+        out[C_RADIUS2, c] = radius2
+        out[C_DIFFUSE, c], out[C_GLOSSY, c] = diffuse / 3, glossy / 3
+        spread = 2 * (2 - n_length - l_length)
+        out[C_ALPHA2, c] = min(1.0, alpha2 / max(glossy, 1e-300) + spread)
+    return out
+
+
+def cluster_texels(table: np.ndarray, number: int, scale_m: float) -> Clusters:
+    """Group the columns of a (16, N) texel table, N >= 1, into at most `number` clusters; `scale_m` is the scene's size."""
+    feature, weight = _features(table, f32(NORMAL_WEIGHT * scale_m))
+    order, start, end = _split_texels(feature, weight, min(number, table.shape[1]))
+    texels = _reorder(table, order)
+    running = np.concatenate([[0.0], np.cumsum(weight[order], dtype=np.float64)])
+    return Clusters(texels, _summarise(texels, start, end), start, end, running)
+
+
+def lamp_vector(position_ws: np.ndarray) -> Vec3:
+    """A (3,) array as the kernels' vector."""
+    return Vec3(*(f32(v) for v in position_ws))

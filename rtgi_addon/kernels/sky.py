@@ -1,0 +1,86 @@
+"""Light from infinity: rays to a radiance map, drawn by cosine and by the map's own brightness."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .brdf import INV_PI
+from .bvh import STACK, is_occluded
+from .jit import device_jit, pixel_jit, prange
+from .sampling import TWO_PI, cosine_hemisphere, r2_sequence, uniform
+from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, scaled, tangent_frame, to_world
+
+PI = f32(math.pi)
+
+
+@device_jit
+def sky_texel(d, height, width):
+    """(row, column) of an equirectangular map (row 0 is +Z, longitude 0 is +Y, growing to +X) in unit direction d."""
+    longitude, latitude = math.atan2(d.x, d.y), math.asin(min(ONE, max(-ONE, d.z)))
+    column = int((longitude + PI) / TWO_PI * f32(width))
+    row = int((f32(math.pi / 2) - latitude) / PI * f32(height))
+    return min(max(row, 0), height - 1), min(max(column, 0), width - 1)
+
+
+@device_jit
+def _sky_direction(row, column, u, v, height, width):
+    """Unit direction in texel (row, column), even over its solid angle."""
+    top = math.sin(f32(math.pi / 2) - PI * f32(row) / f32(height))
+    bottom = math.sin(f32(math.pi / 2) - PI * f32(row + 1) / f32(height))
+    z = bottom + (top - bottom) * v
+    longitude = -PI + TWO_PI * (f32(column) + u) / f32(width)
+    r = math.sqrt(max(ZERO, ONE - z * z))
+    return Vec3(r * math.sin(longitude), r * math.cos(longitude), z)
+
+
+@device_jit
+def _find(cdf, u):
+    """First index whose running sum exceeds u."""
+    lo, hi = 0, cdf.shape[0] - 1
+    while lo < hi:
+        middle = (lo + hi) >> 1
+        if cdf[middle] > u:
+            hi = middle
+        else:
+            lo = middle + 1
+    return lo
+
+
+@pixel_jit
+def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed):
+    """(M, 3) float32 W/m2 irradiance from the sky, with visibility.
+
+    `radiance` (H, W, 3) W/(m2 sr); `cdf` (H W,) float64 running sum of brightness times solid angle, ending at 1; `density`
+    (H, W) float32 1/sr of drawing a direction by it. Of `rays` rays the share `map_share` is drawn by the map, the rest by
+    cosine; both are weighed by the balance heuristic (Veach 1997, Eq. 9.8).
+    """
+    number, height, width = position.shape[0], radiance.shape[0], radiance.shape[1]
+    by_map = int(f32(rays) * map_share)
+    out = np.zeros((number, 3), np.float32)
+    for m in prange(number):
+        stack = np.empty(STACK, np.int32)
+        p, n = load(position, m), load(normal, m)
+        tangent, bitangent = tangent_frame(n)
+        origin = along(p, n, offset_m)
+        shift_u, shift_v = uniform(ids[m], seed, 0), uniform(ids[m], seed, 1)
+        red, green, blue = ZERO, ZERO, ZERO
+        for j in range(rays):
+            u, v = r2_sequence(j, shift_u, shift_v)
+            if j < by_map:
+                k = _find(cdf, uniform(ids[m], seed, 2 + j))
+                d = _sky_direction(k // width, k % width, u, v, height, width)
+            else:
+                d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
+            cosine = dot(d, n)
+            if cosine <= ZERO:
+                continue
+            row, column = sky_texel(d, height, width)
+            pdf = f32(by_map) * density[row, column] + f32(rays - by_map) * cosine * INV_PI
+            weight = cosine / pdf
+            r, g, b = radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2]
+            if r + g + b > ZERO and not is_occluded(bvh, stack, origin, scaled(d, reach_m)):
+                red, green, blue = red + weight * r, green + weight * g, blue + weight * b
+        out[m, 0], out[m, 1], out[m, 2] = red, green, blue
+    return out

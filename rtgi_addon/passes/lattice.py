@@ -1,0 +1,71 @@
+"""Gathering where it pays: at a lattice of pixels, smoothed, spread to all pixels, and again where that fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..core.frame import Frame
+from ..core.transforms import Camera, Projection
+from ..kernels.filters import spread_lattice
+from .base import Context
+
+# A gather function takes points (M, 3), normals (M, 3), ids (M,) and a seed, and returns (M, 3).
+Gather = Callable[[np.ndarray, np.ndarray, np.ndarray, int], np.ndarray]
+
+PLANE_TOLERANCE_PX = 1.6    # how far off the tangent plane, in footprints of a lattice cell, a neighbour still counts e^-1
+TILE_POINTS = 16384         # points between two looks at Esc
+
+
+def pixel_footprint_m(camera: Camera, depth: np.ndarray) -> np.ndarray:
+    """(H, W) float32 m: width of a pixel where it meets the surface, facing the camera; 0 where nothing is seen."""
+    step_x, step_y = camera.pixel_size
+    step = float(np.sqrt(abs(step_x * step_y)))
+    if camera.projection is Projection.ORTHOGRAPHIC:
+        return np.where(np.isfinite(depth), np.float32(step), np.float32(0))
+    return np.where(np.isfinite(depth), depth * np.float32(step), np.float32(0))
+
+
+def gather_in_tiles(gather: Gather, position: np.ndarray, normal: np.ndarray, ids: np.ndarray, seed: int,
+                    context: Context, text: str) -> np.ndarray:
+    """`gather` over (M, 3) points in tiles, so that Esc is seen between them."""
+    out = np.zeros((len(position), 3), np.float32)
+    for first in range(0, len(position), TILE_POINTS):
+        context.checkpoint(text, first / len(position))
+        tile = slice(first, first + TILE_POINTS)
+        out[tile] = gather(position[tile], normal[tile], ids[tile], seed)
+    return out
+
+
+def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, context: Context, text: str,
+                      ) -> tuple[np.ndarray, dict[str, float]]:
+    """(H, W, 3) float32 irradiance of `gather` for every surface pixel, and diagnostics.
+
+    Every `step_px`-th pixel is gathered, the lattice smoothed once and spread to the pixels by plane and normal; pixels
+    that find no like neighbour are gathered on their own.
+    """
+    g = frame.gbuffer
+    mask = g.mask
+    ids = np.arange(mask.size, dtype=np.int64).reshape(mask.shape)
+    if step_px == 1:
+        out = np.zeros((*mask.shape, 3), np.float32)
+        out[mask] = gather_in_tiles(gather, g.position_ws[mask], g.normal_ws[mask], ids[mask], seed, context, text)
+        return out, {"gathered_share": 1.0}
+    at = (slice(step_px // 2, None, step_px), slice(step_px // 2, None, step_px))
+    if not mask[at].any():
+        at = (slice(0, None, 1), slice(0, None, 1))      # an image smaller than the lattice, or one with slivers only
+        step_px = 1
+    position_l, normal_l, mask_l = (np.ascontiguousarray(a[at]) for a in (g.position_ws, g.normal_ws, mask))
+    lattice = np.zeros((*mask_l.shape, 3), np.float32)
+    lattice[mask_l] = gather_in_tiles(gather, position_l[mask_l], normal_l[mask_l], ids[at][mask_l], seed, context, text)
+    tolerance = PLANE_TOLERANCE_PX * step_px * pixel_footprint_m(frame.camera, g.depth)
+    rcp_tolerance = (1 / np.maximum(tolerance, 1e-30)).astype(np.float32)
+    context.checkpoint("Filter", 0.0)
+    smooth, _ = spread_lattice(lattice, position_l, normal_l, mask_l, position_l, normal_l, mask_l,
+                               np.ascontiguousarray(rcp_tolerance[at]), 1)
+    out, weak = spread_lattice(smooth, position_l, normal_l, mask_l, g.position_ws, g.normal_ws, mask, rcp_tolerance, step_px)
+    if weak.any():
+        out[weak] = gather_in_tiles(gather, g.position_ws[weak], g.normal_ws[weak], ids[weak], seed + 1, context, text)
+    surface = max(int(mask.sum()), 1)
+    return out, {"gathered_share": float((mask_l.sum() + weak.sum()) / surface), "weak_share": float(weak.sum() / surface)}
