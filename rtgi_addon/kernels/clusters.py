@@ -43,6 +43,15 @@ class Clusters(NamedTuple):
     running: np.ndarray
 
 
+@device_jit
+def _reflects(albedo, specular, flux, i, j, use_glossy):
+    """Does texel (i, j) send any light back?"""
+    reflected = ZERO
+    for a in range(3):
+        reflected += flux[i, j, a] * (albedo[i, j, a] + (specular[i, j, a] if use_glossy else ZERO))
+    return reflected > ZERO
+
+
 @pixel_jit
 def fill_texels(table, offset, first, position, normal, albedo, specular, roughness, flux, light_position, to_sun,
                 is_sun, gains, use_glossy):
@@ -51,8 +60,8 @@ def fill_texels(table, offset, first, position, normal, albedo, specular, roughn
     for i in prange(height):
         k = offset + first[i]
         for j in range(width):
-            if flux[i, j, 0] + flux[i, j, 1] + flux[i, j, 2] <= ZERO:
-                continue
+            if not _reflects(albedo, specular, flux, i, j, use_glossy):
+                continue                         # before anything is written: column k is the next row's after the last
             p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
             w = to_sun if is_sun else normalized_or(sub(light_position, p), n)
             alpha = min(max(roughness[i, j] * roughness[i, j], MIN_ALPHA), ONE)
@@ -64,8 +73,6 @@ def fill_texels(table, offset, first, position, normal, albedo, specular, roughn
                 table[GLOSSY + a, k] = flux[i, j, a] * specular[i, j, a] * gain if use_glossy else ZERO
                 diffuse += table[DIFFUSE + a, k]
                 glossy += table[GLOSSY + a, k]
-            if diffuse + glossy <= ZERO:
-                continue
             table[POSITION, k], table[POSITION + 1, k], table[POSITION + 2, k] = p.x, p.y, p.z
             table[NORMAL, k], table[NORMAL + 1, k], table[NORMAL + 2, k] = n.x, n.y, n.z
             table[TO_LIGHT, k], table[TO_LIGHT + 1, k], table[TO_LIGHT + 2, k] = w.x, w.y, w.z
@@ -80,10 +87,7 @@ def count_texels(albedo, specular, flux, use_glossy):
     for i in prange(flux.shape[0]):
         count = 0
         for j in range(flux.shape[1]):
-            reflected = ZERO
-            for a in range(3):
-                reflected += flux[i, j, a] * (albedo[i, j, a] + (specular[i, j, a] if use_glossy else ZERO))
-            count += 1 if reflected > ZERO else 0
+            count += 1 if _reflects(albedo, specular, flux, i, j, use_glossy) else 0
         out[i] = count
     return out
 
@@ -250,7 +254,8 @@ def _summarise(T, start, end):
         n_length = max(math.sqrt(nx * nx + ny * ny + nz * nz) * inv, 1e-9)
         l_length = max(math.sqrt(lx * lx + ly * ly + lz * lz) * inv, 1e-9)
         out[0, c], out[1, c], out[2, c] = px * inv, py * inv, pz * inv
-        out[C_NORMAL, c], out[C_NORMAL + 1, c], out[C_NORMAL + 2, c] = nx * inv / n_length, ny * inv / n_length, nz * inv / n_length
+        out[C_NORMAL, c], out[C_NORMAL + 1, c], out[C_NORMAL + 2, c] = (
+            nx * inv / n_length, ny * inv / n_length, nz * inv / n_length)
         out[C_TO_LIGHT, c], out[C_TO_LIGHT + 1, c], out[C_TO_LIGHT + 2, c] = (
             lx * inv / l_length, ly * inv / l_length, lz * inv / l_length)
         radius2 = ZERO
