@@ -1,0 +1,124 @@
+"""What a frame needs, decided from cheap facts, as data: printed, saved in the report, shown in the panel.
+
+Two decisions: before capture, from lamps, materials and world (`plan_capture`); after it, from the frame itself
+(`plan_frame`). Whatever is left out is said in words, with its reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .core.frame import Frame, Light, LightKind
+from .core.settings import Settings
+from .passes import TECHNIQUES
+
+CYCLES_VIEWS = 4            # lamps whose view Cycles renders; further ones are cast through the triangles at lower resolution
+CAST_VIEW_PX = (192, 108)   # size of a cast view
+
+
+@dataclass(frozen=True)
+class SceneFacts:
+    """What is known before any view is rendered."""
+
+    lights: tuple[Light, ...]
+    world_kind: str             # "black", "constant" or "map"
+    has_glossy: bool
+    has_emission: bool
+    whole_frame: bool           # False for a border render, whose window an equirectangular view cannot take
+
+
+@dataclass(frozen=True)
+class CapturePlan:
+    """What to capture: light indices viewed by Cycles and cast through triangles, whether triangles are needed."""
+
+    cycles_views: tuple[int, ...] = ()
+    cast_views: tuple[int, ...] = ()
+    geometry: bool = False
+    left_out: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The techniques that run, in order, and (what, why) of everything left out."""
+
+    techniques: tuple[str, ...]
+    left_out: tuple[tuple[str, str], ...] = ()
+    facts: dict[str, float] = field(default_factory=dict)
+
+    def to_json(self) -> dict:
+        """As the report's `plan`."""
+        return {"runs": [{"technique": name, "label": TECHNIQUES[name].label} for name in self.techniques],
+                "left_out": [{"what": what, "why": why} for what, why in self.left_out], "facts": self.facts}
+
+    def words(self) -> list[str]:
+        """One line a decision."""
+        return ([f"{TECHNIQUES[name].label} runs" for name in self.techniques]
+                + [f"{what} left out: {why}" for what, why in self.left_out])
+
+
+def reach_of(light: Light, centre_ws: np.ndarray, radius_m: float) -> float:
+    """Irradiance W/m2 (mean over colours) that a lamp can give at most at the middle of a scene of this radius."""
+    power = float(np.mean(light.power))
+    if light.kind is LightKind.SUN:
+        return power
+    if light.kind.is_area:
+        power *= light.size_x_m * light.size_y_m
+    distance = max(float(np.linalg.norm(light.position_ws - centre_ws)), radius_m)
+    return power / max(distance, 1e-9) ** 2
+
+
+def plan_capture(facts: SceneFacts, settings: Settings, centre_ws: np.ndarray, radius_m: float) -> CapturePlan:
+    """Which lights get a view, and of which sort; whether triangles are read."""
+    wants_views = [t for t in TECHNIQUES.values() if settings.enabled.get(t.name, False) and t.needs_views]
+    left_out: list[tuple[str, str]] = []
+    order = sorted(range(len(facts.lights)), key=lambda i: (-reach_of(facts.lights[i], centre_ws, radius_m), i))
+    cycles, cast = [], []
+    for i in order if any(t.name != "direct" for t in wants_views) else order[:CYCLES_VIEWS]:
+        light = facts.lights[i]
+        needs_sphere = light.kind is LightKind.POINT or light.kind.is_area
+        if len(cycles) < CYCLES_VIEWS and (facts.whole_frame or not needs_sphere):
+            cycles.append(i)
+        else:
+            cast.append(i)
+    if cast:
+        why = f"{len(cast)} lamps are weaker than the first {len(cycles)}" if facts.whole_frame else "a border cuts their view"
+        left_out.append(("Cycles views of some lamps", f"{why}; their light is followed through the triangles instead"))
+    if not facts.has_glossy:
+        left_out.append(("Glossy passes", "no material has a glossy lobe"))
+    return CapturePlan(tuple(sorted(cycles)), tuple(sorted(cast)), True, tuple(left_out))
+
+
+def plan_frame(frame: Frame, settings: Settings, capture: CapturePlan) -> Plan:
+    """Which enabled techniques this frame needs."""
+    left_out = list(capture.left_out)
+    mask = frame.gbuffer.mask
+    facts = {"surface_share": float(mask.mean()), "lights": len(frame.lights), "light_views": len(frame.views),
+             "triangles": len(frame.geometry) if frame.geometry is not None else 0,
+             "glossy_share": float((frame.gbuffer.specular.max(-1) > 0).mean())}
+    chosen = []
+    for name, technique in TECHNIQUES.items():
+        reason = None
+        if not settings.enabled.get(name, False):
+            reason = "switched off"
+        elif settings.use_auto or name in ("direct", "world"):
+            reason = _not_needed(name, frame, mask)
+        if reason:
+            left_out.append((technique.label, reason))
+        else:
+            chosen.append(name)
+    return Plan(tuple(chosen), tuple(left_out), facts)
+
+
+def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
+    """Why this frame can do without a technique, or None."""
+    if not mask.any():
+        return "the camera sees no surface"
+    if name == "direct" and not frame.lights:
+        return "there is no lamp"
+    if name == "world" and frame.world.is_black:
+        return "the world is black"
+    if name == "rsm" and not any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views):
+        return "no lamp lights a surface" if frame.lights else "there is no lamp"
+    return None
