@@ -15,12 +15,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numba
+import numpy as np
 from numba import prange
 from numba.core import event
 
 from ..core.cache_root import cache_root
 
-__all__ = ["cache_dir", "compile_clock", "device_jit", "kernel_session", "pixel_jit", "prange", "threading_layer"]
+__all__ = ["cache_dir", "compile_clock", "device_jit", "kernel_session", "pixel_jit", "prange",
+           "probe_threading_layer", "threading_layer"]
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -74,7 +76,8 @@ def kernel_session(threads: int = 0) -> Iterator[None]:
     """Run kernels on `threads` threads (0: all); one session at a time, since some threading layers abort otherwise."""
     with _kernel_lock:
         before = numba.get_num_threads()
-        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS) if threads > 0 else numba.config.NUMBA_NUM_THREADS)
+        most = numba.config.NUMBA_NUM_THREADS
+        numba.set_num_threads(min(threads, most) if threads > 0 else most)
         try:
             yield
         finally:
@@ -87,6 +90,19 @@ def threading_layer() -> str:
         return numba.threading_layer()
     except ValueError:
         return "none yet"
+
+
+@pixel_jit
+def _count_up(out: np.ndarray) -> None:
+    for i in prange(out.size):
+        out[i] = np.float32(i)
+
+
+def probe_threading_layer() -> tuple[str, int]:
+    """Name of the threading layer and the number of its threads, after a kernel of a few numbers ran on it."""
+    with kernel_session():
+        _count_up(np.zeros(64, np.float32))
+        return numba.threading_layer(), numba.get_num_threads()
 
 
 @contextlib.contextmanager

@@ -1,0 +1,50 @@
+"""Compiles every kernel ahead of the first render, by running each technique on a tiny synthetic frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from .core.frame import LightKind
+from .core.params import Params
+from .core.synthetic import make_room_frame
+from .core.techniques import TECHNIQUE_PARAMS
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing that was compiled or loaded from the cache, and the seconds it took."""
+
+    name: str
+    seconds: float
+
+
+def variants(params: Params) -> Iterator[tuple[str, Params]]:
+    """`params` and, for each choice and switch in it, copies with every other value: together they reach all kernels."""
+    yield "", params
+    for field in dataclasses.fields(params):
+        value = getattr(params, field.name)
+        others = [c[0] for c in field.metadata["choices"]] or ([True, False] if isinstance(value, bool) else [])
+        for other in others:
+            if other != value:
+                yield f" with {field.name} {other}", dataclasses.replace(params, **{field.name: other})
+
+
+def warm_up(threads: int = 0) -> Iterator[Step]:
+    """Yield a step after each technique's kernels are ready; what is in the cache already takes almost no time."""
+    start = time.perf_counter()
+    from .kernels.jit import kernel_session
+    from .passes import technique
+    from .passes.base import Context
+
+    frame = make_room_frame(32, 24, tuple(LightKind), world_radiance=0.5)
+    context = Context()
+    yield Step("loading", time.perf_counter() - start)
+    for name, kind in TECHNIQUE_PARAMS.items():
+        for words, params in variants(kind()):
+            start = time.perf_counter()
+            with kernel_session(threads):
+                technique(name).compute(frame, params, context, 0)
+            yield Step(name + words, time.perf_counter() - start)
