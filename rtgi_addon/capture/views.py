@@ -147,7 +147,7 @@ class ViewCapture:
         self.window, self.origin_ws, self.material_roughness = window, origin_ws, material_roughness
         self.seconds = 0.0
 
-    def _passes(self) -> dict[str, np.ndarray]:
+    def passes(self) -> dict[str, np.ndarray]:
         """Render the view and read its passes: (H, W, C) float32 with row 0 at the top."""
         from cycles import engine as cycles_engine
 
@@ -195,16 +195,12 @@ class ViewCapture:
             for name, value in saved.items():
                 setattr(data, name, value)
 
-    def gbuffer(self, camera: Camera) -> GBuffer:
-        """What the evaluated camera sees now; `camera` must describe it."""
-        return self._to_gbuffer(self._passes(), camera)
-
     def environment(self, camera: Camera) -> np.ndarray:
         """(H, W, 3) float32 radiance of the world alone: the view starts behind everything."""
         with self.looking_through(camera, 1e6, 2e6):
-            return np.nan_to_num(self._passes()[pass_name("Environment")], posinf=0.0, neginf=0.0)
+            return np.nan_to_num(self.passes()[pass_name("Environment")], posinf=0.0, neginf=0.0)
 
-    def _to_gbuffer(self, passes: dict[str, np.ndarray], camera: Camera) -> GBuffer:
+    def to_gbuffer(self, passes: dict[str, np.ndarray], camera: Camera) -> GBuffer:
         depth = passes["Depth"][..., 0]
         seen = (depth > 0) & (depth < _NOTHING_M)
         depth = np.where(seen, depth, np.float32(np.inf))

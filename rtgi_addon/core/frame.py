@@ -8,6 +8,7 @@ Images are (H, W, ...) with row 0 at the top.
 from __future__ import annotations
 
 import enum
+import functools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -226,10 +227,15 @@ class Frame:
     origin_ws: np.ndarray = field(default_factory=lambda: np.zeros(3))
     warnings: tuple[str, ...] = ()
 
-    @property
+    @functools.cached_property
     def scale_m(self) -> float:
-        """Size of the scene: of its geometry, else of what the camera sees; what tolerances are relative to."""
-        if self.geometry is not None and len(self.geometry):
-            return self.geometry.scale_m
-        seen = self.gbuffer.position_ws[self.gbuffer.mask]
-        return float(np.ptp(seen, axis=0).max()) if len(seen) else 1.0
+        """Size of what matters: twice what the camera sees, at most all geometry. Ray offsets and tolerances are relative to it.
+
+        A ground plane of 10 km under a chair must not set the offsets of the chair's rays.
+        """
+        seen = self.gbuffer.position_ws[::4, ::4][self.gbuffer.mask[::4, ::4]]
+        extent = float(np.ptp(np.quantile(seen, [0.02, 0.98], axis=0), axis=0).max()) if len(seen) > 16 else 0.0
+        if self.geometry is None or not len(self.geometry):
+            return extent if extent > 0 else 1.0
+        whole = self.geometry.scale_m
+        return min(whole, 2 * extent) if extent > 1e-3 * whole else max(whole * 1e-3, 1e-9)

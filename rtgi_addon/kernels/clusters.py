@@ -14,7 +14,7 @@ import numpy as np
 
 from .brdf import GAIN_STEPS
 from .jit import device_jit, pixel_jit, prange
-from .vec3 import ONE, ZERO, Vec3, dot, f32, load_pixel, normalized_or, sub
+from .vec3 import ONE, ZERO, dot, f32, load_pixel, normalized_or, sub
 
 # rows of the texel table
 POSITION, NORMAL, DIFFUSE, TO_LIGHT, GLOSSY, ALPHA2 = 0, 3, 6, 9, 12, 15
@@ -276,8 +276,3 @@ def cluster_texels(table: np.ndarray, number: int, scale_m: float) -> Clusters:
     texels = _reorder(table, order)
     running = np.concatenate([[0.0], np.cumsum(weight[order], dtype=np.float64)])
     return Clusters(texels, _summarise(texels, start, end), start, end, running)
-
-
-def lamp_vector(position_ws: np.ndarray) -> Vec3:
-    """A (3,) array as the kernels' vector."""
-    return Vec3(*(f32(v) for v in position_ws))

@@ -18,7 +18,7 @@ from .clusters import (ALPHA2, C_ALPHA2, C_DIFFUSE, C_GLOSSY, C_NORMAL, C_RADIUS
                        NORMAL, NO_LOBE, TO_LIGHT)
 from .jit import device_jit, pixel_jit, prange
 from .sampling import uniform
-from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, load_column, scaled, sub
+from .vec3 import ONE, ZERO, Vec3, along, dot, f32, lifted, load, load_column, scaled, sub
 
 HALF, THIRD = f32(0.5), f32(1 / 3)
 NEAR = f32(0.25)            # a cluster nearer than half its radius is summed texel by texel (in squares)
@@ -120,7 +120,7 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, near, 
     red, green, blue = ZERO, ZERO, ZERO
     if not total > ZERO:
         return red, green, blue
-    origin, c, reached = along(p, n, offset_m), -1, ZERO
+    origin, c, reached = lifted(p, n, offset_m), -1, ZERO
     for j in range(rays):
         target = (f32(j) + uniform(point, seed, 2 * j)) / f32(rays) * total
         while c < n_clusters - 1 and (reached <= target or c < 0):
@@ -140,7 +140,7 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, near, 
         gives = _mean_given(T, k, diffuse, glossy)
         if gives <= ZERO:
             continue
-        target_point = along(load_column(T, 0, k), load_column(T, NORMAL, k), offset_m)
+        target_point = lifted(load_column(T, 0, k), load_column(T, NORMAL, k), offset_m)
         if is_occluded(bvh, stack, origin, sub(target_point, origin)):
             continue
         s = total / (w[c] * share * f32(rays))

@@ -10,7 +10,7 @@ from .brdf import INV_PI
 from .bvh import STACK, is_occluded
 from .jit import device_jit, pixel_jit, prange
 from .sampling import TWO_PI, cosine_hemisphere, r2_sequence, uniform
-from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, scaled, tangent_frame, to_world
+from .vec3 import ONE, ZERO, Vec3, dot, f32, lifted, load, scaled, tangent_frame, to_world
 
 PI = f32(math.pi)
 
@@ -63,7 +63,7 @@ def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_sha
         stack = np.empty(STACK, np.int32)
         p, n = load(position, m), load(normal, m)
         tangent, bitangent = tangent_frame(n)
-        origin = along(p, n, offset_m)
+        origin = lifted(p, n, offset_m)
         shift_u, shift_v = uniform(ids[m], seed, 0), uniform(ids[m], seed, 1)
         red, green, blue = ZERO, ZERO, ZERO
         for j in range(rays):

@@ -21,6 +21,11 @@ class Vec3(NamedTuple):
     z: np.float32
 
 
+def vector(values: np.ndarray) -> Vec3:
+    """A (3,) array as the kernels' vector; not for use inside kernels."""
+    return Vec3(*(f32(v) for v in values))
+
+
 @device_jit
 def load(a, i):
     """Row i of an (N, 3) array."""
@@ -58,6 +63,12 @@ def scaled(a, s):
 def along(o, d, t):
     """o + t d"""
     return Vec3(o.x + t * d.x, o.y + t * d.y, o.z + t * d.z)
+
+
+@device_jit
+def lifted(p, n, offset_m):
+    """p moved along n by `offset_m`, or by eight units in the last place of its coordinates where those are larger."""
+    return along(p, n, max(offset_m, f32(1e-6) * max(abs(p.x), max(abs(p.y), abs(p.z)))))
 
 
 @device_jit

@@ -16,20 +16,30 @@ References
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from ..core.frame import Frame, LightKind, LightView
 from ..core.techniques import RsmParams
-from ..kernels.brdf import gain_table
-from ..kernels.clusters import ROWS, cluster_texels, count_texels, fill_texels, lamp_vector
+from ..kernels.brdf import GAIN_STEPS, lobe_gain
+from ..kernels.clusters import ROWS, cluster_texels, count_texels, fill_texels
 from ..kernels.gather import gather_visible
-from ..kernels.vec3 import f32
+from ..kernels.vec3 import f32, vector
 from ..kernels.vpl import gather_all, gather_polar
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_in_tiles, gather_on_lattice
 
 RAY_OFFSET = 2e-5           # of the scene's size: both ends of a shadow ray are lifted off their surface by it
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
+
+
+@functools.cache
+def _gains() -> np.ndarray:
+    """(GAIN_STEPS, GAIN_STEPS) float32 gains of a dielectric's lobe, at the middles of the cells of cosine and alpha."""
+    middle = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
+    cosine, alpha = np.meshgrid(middle, middle, indexing="ij")
+    return lobe_gain(cosine.ravel(), alpha.ravel()).reshape(GAIN_STEPS, GAIN_STEPS).astype(np.float32)
 
 
 def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
@@ -42,8 +52,8 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
         g, light = view.gbuffer, frame.lights[view.light_index]
         first = np.cumsum(count) - count
         fill_texels(table, offset, first, g.position_ws, g.normal_ws, g.albedo, g.specular, g.roughness,
-                    view.incident_flux, lamp_vector(light.position_ws), lamp_vector(-light.direction_ws),
-                    light.kind is LightKind.SUN, gain_table(), use_glossy)
+                    view.incident_flux, vector(light.position_ws), vector(-light.direction_ws),
+                    light.kind is LightKind.SUN, _gains(), use_glossy)
         offset += int(count.sum())
     return table
 

@@ -1,0 +1,326 @@
+"""The render engine RTGI: captures a frame through Cycles, runs the pipeline and hands the picture to Blender."""
+
+from __future__ import annotations
+
+import contextlib
+import traceback
+
+import bpy
+import numpy as np
+
+from .capture import geometry as capture_geometry
+from .capture import materials as capture_materials
+from .capture import world as capture_world
+from .capture.lights import lights_out, read_lights
+from .capture.versions import HAS_ROUGHNESS_PASS, pass_name
+from .capture.views import Needs, ViewCapture, full_sphere, main_camera, read_window, world_axes
+from .core.frame import Frame, LightView, World
+from .errors import Cancelled, InputError, RtgiError
+
+FAR_FROM_ORIGIN_M = 1000.0  # a camera farther out than this becomes the frame's own origin, to keep float32 digits
+IMAGE_NAME = "RTGI"
+OUTPUT_PASSES = (("RTGI Direct", "RGB"), ("RTGI World", "RGB"), ("RTGI Diffuse Bounce", "RGB"), ("RTGI Glossy Bounce", "RGB"),
+                 ("RTGI Visibility", "X"))
+
+_last_result = None
+_persistent_data: dict[str, bool] = {}
+_geometry_cache = capture_geometry.GeometryCache()
+_context = None
+
+
+def last_result():
+    """`pipeline.Result` of the newest finished render, or None."""
+    return _last_result
+
+
+def _shared_context():
+    """One pass context for all renders, so that the BVH of an unchanged scene is kept between frames."""
+    global _context
+    if _context is None:
+        from .passes.base import Context
+
+        _context = Context()
+    return _context
+
+
+class RTGIEngine(bpy.types.RenderEngine):
+    """Delegates to Cycles for G-buffers and adds light with RTGI's passes."""
+
+    bl_idname = "RTGI"
+    bl_label = "RTGI"
+    bl_use_eevee_viewport = True
+    bl_use_postprocess = True
+    bl_use_exclude_layers = True
+    bl_use_spherical_stereo = False
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.session = None
+        self._open = contextlib.ExitStack()      # what is put on the evaluated copies between update and the end of render
+
+    def __del__(self):
+        # Blender may have freed the struct, or never have run __init__
+        with contextlib.suppress(ReferenceError, AttributeError):
+            from cycles import engine as cycles_engine
+
+            cycles_engine.free(self)
+
+    def update_render_passes(self, scene, view_layer):
+        """Register the passes that the compositor and multilayer files see, and those that capture reads."""
+        from cycles import engine as cycles_engine
+
+        cycles_engine.register_passes(self, scene, view_layer)
+        taken = {name for name, *_ in cycles_engine.list_render_passes(scene, view_layer)}
+        for name, channels, kind in _needs_of(scene).passes():
+            if name not in taken:
+                self.register_pass(scene, view_layer, name, len(channels), channels, kind)
+        for name, channels in OUTPUT_PASSES:
+            self.register_pass(scene, view_layer, name, len(channels), channels, "COLOR" if len(channels) == 3 else "VALUE")
+
+    def update(self, data, depsgraph):
+        """Prepare the evaluated copies and hand the scene to Cycles."""
+        from cycles import engine as cycles_engine
+
+        self._open.close()
+        self._failure = None
+        try:
+            self._prepare(data, depsgraph)
+            if not self.session:
+                cycles_engine.create(self, data)
+            cycles_engine.reset(self, data, depsgraph)
+        except RtgiError as error:
+            self._failure = str(error)
+            self._open.close()
+
+    def _prepare(self, data, depsgraph):
+        scene = depsgraph.scene_eval
+        cycles = scene.cycles
+        cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = 1, False, False
+        cycles.max_bounces, cycles.use_light_tree, cycles.use_guiding = 0, False, False
+        cycles.pixel_filter_type, cycles.filter_width = "BOX", 0.01
+        depsgraph.view_layer_eval.cycles.denoising_pass_follow_reflections = False
+        camera = self.camera_override
+        if camera is None:
+            raise InputError("the scene has no camera; add one or choose one in Scene Properties")
+        self._window = read_window(depsgraph.scene.render)
+        place = np.array(camera.matrix_world, np.float64)[:3, 3]
+        self._origin_ws = place if np.linalg.norm(place) > FAR_FROM_ORIGIN_M else np.zeros(3)
+        size = (1, 1)                            # the true size is known with the first render result
+        main_camera(camera, self._window, size, self._origin_ws)     # refuses a panorama before Cycles starts
+        if camera.data.dof.use_dof:
+            camera.data.dof.use_dof = False      # the evaluated copy: positions belong to pixels only without a lens
+            self._open.callback(setattr, camera.data.dof, "use_dof", True)
+            self._dof_warning = True
+        self._lights = read_lights(depsgraph, self._origin_ws)
+        self._materials = capture_materials.read_materials(depsgraph)
+        self._world = capture_world.read_world_constant(depsgraph)
+        if not HAS_ROUGHNESS_PASS:
+            capture_materials.number_materials(depsgraph, self._materials)
+        self._warnings = capture_geometry.unsupported_warnings(depsgraph, self._materials)
+        self._data = data
+        self._open.enter_context(lights_out(depsgraph))
+
+    def render(self, depsgraph):
+        """Blender's entry: one view layer of one frame. Errors become one line for the user."""
+        try:
+            if self._failure:
+                raise InputError(self._failure)
+            self._render(depsgraph)
+        except Cancelled:
+            self.update_stats("", "RTGI: cancelled")
+        except RtgiError as error:
+            self._fail(str(error))
+        except Exception as error:  # noqa: BLE001  an error must not pass as a finished black frame
+            traceback.print_exc()
+            self._fail(f"RTGI failed: {type(error).__name__}: {error}; the console has the details")
+        finally:
+            self._open.close()
+
+    def _fail(self, text):
+        # either alone is lost: the report reaches scripts, the error reaches the window
+        self.report({"ERROR"}, text)
+        self.error_set(text)
+
+    def _render(self, depsgraph):
+        global _last_result
+        from . import pipeline, planner
+
+        scene = depsgraph.scene
+        settings = _settings_of(scene)
+        stages, context = pipeline.Stages(), _shared_context()
+        context.listen(self.test_break, self._report)
+        frame, capture_plan = self._capture(depsgraph, settings, context, stages)
+        plan = planner.plan_frame(frame, settings, capture_plan)
+        result = pipeline.run(frame, plan, settings, context, stages, scene.render.film_transparent)
+        context.checkpoint("Write result", 1.0)
+        result.combined[..., :3] *= scene.cycles.film_exposure
+        with stages("write"):
+            self._write(depsgraph, frame, result)
+        result.report["stages"], result.report["total_ms"] = stages.to_json(), round(stages.total_ms, 2)
+        result.report["versions"]["blender"] = bpy.app.version_string
+        _last_result = result
+        for line in frame.warnings:
+            self.report({"INFO"}, line)
+
+    def _report(self, text, share):
+        self.update_stats("", f"RTGI: {text}")
+        self.update_progress(min(max(share, 0.0), 1.0))
+
+    def _capture(self, depsgraph, settings, context, stages):
+        """Frame of this view layer: triangles, the camera's view, each light's view, the world."""
+        from . import light_views, planner
+        from .kernels.jit import kernel_session
+
+        context.checkpoint("Read triangles", 0.0)
+        with stages("triangles"):
+            geometry = capture_geometry.read_geometry(depsgraph, self._materials, self._origin_ws, _geometry_cache)
+        roughness = np.array([m.roughness for m in self._materials.materials], np.float32)
+        views = ViewCapture(self, self._data, depsgraph, self._window, self._origin_ws, roughness)
+        context.checkpoint("Camera view", 0.05)
+        with stages("camera view"):
+            self._raw = views.passes()
+            height, width = self._raw["Depth"].shape[:2]
+            camera = main_camera(self.camera_override, self._window, (width, height), self._origin_ws)
+            gbuffer = views.to_gbuffer(self._raw, camera)
+        context.checkpoint()
+        materials = tuple(self._materials.materials)
+        frame = Frame(camera, gbuffer, self._lights, (), geometry, materials, World(), self._origin_ws, self._warnings)
+        low, high = geometry.bounds_ws
+        facts = planner.SceneFacts(self._lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission,
+                                   self._window.is_whole)
+        plan = planner.plan_capture(facts, settings, (low + high) / 2, float(np.linalg.norm(high - low)) / 2)
+        captured = []
+        with stages("bvh"), kernel_session(settings.threads):
+            bvh = context.bvh(geometry)
+        aspect = self._window.shown_aspect
+        for number, i in enumerate((*plan.cycles_views, *plan.cast_views)):
+            light = self._lights[i]
+            context.checkpoint(f"View of {light.name}", 0.1 + 0.3 * number / len(self._lights))
+            cast = i in plan.cast_views
+            size = planner.CAST_VIEW_PX if cast else (width, height)
+            with stages("fit light views"), kernel_session(settings.threads):
+                light_camera = light_views.camera_of(light, frame, bvh, size, aspect)
+            if light_camera is None:
+                continue
+            with stages("light views"):
+                if cast:
+                    with kernel_session(settings.threads):
+                        captured.append(light_views.cast_view(i, light, light_camera, frame, bvh))
+                    continue
+                with views.looking_through(light_camera, *light_views.clip_range_m(light, light_camera, frame)):
+                    seen = views.to_gbuffer(views.passes(), light_camera)
+                captured.append(light_views.view_of(i, light, light_camera, seen))
+        with stages("world"):
+            world = self._capture_world(views, width, height)
+        return Frame(camera, gbuffer, self._lights, tuple(captured), geometry, materials, world, self._origin_ws,
+                     self._warnings), plan
+
+    def _capture_world(self, views, width, height):
+        if self._world.kind == "constant":
+            return World(np.asarray(self._world.radiance, np.float32).reshape(1, 1, 3))
+        if self._world.kind == "black" or not self._window.is_whole:
+            return World()
+        return World(views.environment(full_sphere(width, height, world_axes())))
+
+    def _write(self, depsgraph, frame, result):
+        """Combined, our passes and every pass that the user asked for into the render result; the image datablock."""
+        layer_name = depsgraph.view_layer.name
+        height, width = frame.gbuffer.shape
+        values = _output_values(frame, result)
+        target = self.begin_result(0, 0, width, height, layer=layer_name)
+        for render_pass in target.layers[0].passes:
+            array = values.get(render_pass.name, self._raw.get(render_pass.name))
+            if array is not None:
+                flat = np.ascontiguousarray(array[::-1], np.float32).ravel()
+                render_pass.rect.foreach_set(flat)
+        self.end_result(target)
+        _write_image(result.combined)
+
+    def render_frame_finish(self):
+        from cycles import engine as cycles_engine
+
+        cycles_engine.render_frame_finish(self)
+
+
+def _output_values(frame, result):
+    """{pass name: (H, W, C) float32, row 0 at the top} of everything that RTGI itself fills."""
+    from .passes.base import Transport as T
+
+    light, black = result.transports, np.zeros_like(frame.gbuffer.albedo)
+
+    def radiosity(transport):
+        return light.get(transport, black) / np.float32(np.pi)
+
+    direct, world, bounce = radiosity(T.DIRECT_DIFFUSE), radiosity(T.WORLD_DIFFUSE), radiosity(T.BOUNCE_DIFFUSE)
+    albedo = frame.gbuffer.albedo
+    direct_glossy, world_glossy = light.get(T.DIRECT_GLOSSY, black), light.get(T.WORLD_GLOSSY, black)
+    return {
+        "Combined": result.combined,
+        "RTGI Direct": direct * albedo + direct_glossy,
+        "RTGI World": world * albedo + world_glossy,
+        "RTGI Diffuse Bounce": bounce * albedo,
+        "RTGI Glossy Bounce": light.get(T.BOUNCE_GLOSSY, black),
+        "RTGI Visibility": result.visibility[..., None],
+        pass_name("Diffuse Direct"): direct + world,
+        pass_name("Diffuse Indirect"): bounce,
+    }
+
+
+def _write_image(combined):
+    """The composite as the float image datablock "RTGI", in place where it exists."""
+    height, width = combined.shape[:2]
+    image = bpy.data.images.get(IMAGE_NAME)
+    if image is not None and (tuple(image.size) != (width, height) or not image.is_float or image.source != "GENERATED"):
+        if image.source == "GENERATED" and image.is_float:
+            image.scale(width, height)
+        else:
+            return                               # a file of the user's own under that name: leave it alone
+    if image is None:
+        image = bpy.data.images.new(IMAGE_NAME, width, height, alpha=True, float_buffer=True)
+    image.pixels.foreach_set(np.ascontiguousarray(combined[::-1]).ravel())
+    image.update()
+
+
+def _settings_of(scene):
+    from .ui.props import settings_from_scene
+
+    return settings_from_scene(scene)
+
+
+def _needs_of(scene):
+    """Passes that a frame of this scene needs; cheap, since Blender asks often."""
+    return Needs(**capture_materials.pass_needs(scene), material_index=not HAS_ROUGHNESS_PASS)
+
+
+def _keep_depsgraph(scene, *_):
+    """Cycles frees the depsgraph after the first view unless data is persistent; the user's value comes back after."""
+    if scene.render.engine == RTGIEngine.bl_idname and scene.name not in _persistent_data:
+        _persistent_data[scene.name] = scene.render.use_persistent_data
+        scene.render.use_persistent_data = True
+
+
+def _restore_persistent_data(scene, *_):
+    if scene.name in _persistent_data:
+        scene.render.use_persistent_data = _persistent_data.pop(scene.name)
+
+
+_HANDLERS = (("render_init", _keep_depsgraph), ("render_complete", _restore_persistent_data),
+             ("render_cancel", _restore_persistent_data))
+
+
+def register():
+    """Register the engine class and the handlers around a render."""
+    bpy.utils.register_class(RTGIEngine)
+    for name, function in _HANDLERS:
+        getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(function))
+
+
+def unregister():
+    """Undo `register`."""
+    global _last_result, _context
+    for name, function in _HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if function in handlers:
+            handlers.remove(function)
+    bpy.utils.unregister_class(RTGIEngine)
+    _last_result = _context = None

@@ -1,0 +1,132 @@
+"""Where a lamp's view looks, and views that rays through the triangles give without Cycles."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .core.frame import Frame, GBuffer, Light, LightKind, LightView, Material
+from .core.radiometry import texel_flux
+from .core.transforms import Camera, Projection
+from .kernels.bvh import Bvh
+from .kernels.pilot import cast_rays, lit_hits
+from .kernels.vec3 import f32, vector
+
+PILOT_PIXELS, PILOT_RAYS = 2048, 12
+TRIM = 0.0015               # share of the pilot's points cut off at each edge of a sun's view
+WIDE_SPOT_RAD = math.radians(150)   # beyond this a flat image plane wastes its texels at the rim
+TURNS = 36                  # directions tried for the long edge of a sun's view, over half a turn
+MARGIN = 1.02               # a sun's view is this much larger than its points
+
+
+def spot_camera(light: Light, size: tuple[int, int], aspect: float) -> Camera:
+    """Perspective view whose shorter edge spans the cone of a SPOT; for very wide cones an equirectangular one."""
+    half = light.spot_size_rad / 2
+    if light.spot_size_rad > WIDE_SPOT_RAD:
+        return Camera(Projection.EQUIRECTANGULAR, light.world_from_light, *size, -half, half, -half, half)
+    edge = math.tan(half) * 1.001
+    half_x, half_y = (edge * aspect, edge) if aspect >= 1 else (edge, edge / aspect)
+    return Camera(Projection.PERSPECTIVE, light.world_from_light, *size, -half_x, half_x, -half_y, half_y)
+
+
+def sphere_camera(light: Light, size: tuple[int, int]) -> Camera:
+    """Equirectangular view of all that a POINT (the sphere) or an area light (the half sphere before it) can reach."""
+    half = math.pi / 2 if light.kind.is_area else math.pi
+    return Camera(Projection.EQUIRECTANGULAR, light.world_from_light, *size, -half, half, -math.pi / 2, math.pi / 2)
+
+
+def sun_camera(light: Light, points_ws: np.ndarray, bounds_ws: tuple[np.ndarray, np.ndarray], size: tuple[int, int],
+               aspect: float) -> Camera:
+    """Orthographic view along a SUN that holds nearly all of `points_ws` (N, 3), turned to waste least, from outside the bounds."""
+    rotation = light.world_from_light[:3, :3]
+    in_light = points_ws @ rotation
+    best = None
+    for angle in np.linspace(0, math.pi, TURNS, endpoint=False):
+        x_axis, y_axis = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
+        x, y = in_light[:, :2] @ x_axis, in_light[:, :2] @ y_axis
+        low, high = np.quantile([x, y], [TRIM, 1 - TRIM], axis=1)
+        extent = max(high[0] - low[0], (high[1] - low[1]) * aspect)
+        if best is None or extent < best[0]:
+            best = extent, x_axis, y_axis, (low + high) / 2
+    extent, x_axis, y_axis, centre = best
+    turned = np.eye(4)
+    turned[:3, :3] = rotation @ np.array([[x_axis[0], y_axis[0], 0], [x_axis[1], y_axis[1], 0], [0, 0, 1.0]])
+    corners = np.array([[bounds_ws[i][0], bounds_ws[j][1], bounds_ws[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    scale = float(np.linalg.norm(bounds_ws[1] - bounds_ws[0]))
+    top = float((corners @ rotation[:, 2]).max()) + 0.01 * scale
+    turned[:3, 3] = turned[:3, :3] @ np.array([centre[0], centre[1], top])
+    half_x = max(extent, 1e-3 * scale, 1e-9) / 2 * MARGIN
+    half_y = half_x / aspect
+    return Camera(Projection.ORTHOGRAPHIC, turned, *size, -half_x, half_x, -half_y, half_y)
+
+
+def points_that_matter(frame: Frame, light: Light, bvh: Bvh, seed: int = 0) -> np.ndarray:
+    """(N, 3) points whose sunlight reaches the picture: by one bounce, found by pilot rays, or straight."""
+    surface = np.flatnonzero(frame.gbuffer.mask)
+    if not len(surface):
+        return np.zeros((0, 3), np.float32)
+    chosen = surface[np.linspace(0, len(surface) - 1, min(PILOT_PIXELS, len(surface))).astype(np.int64)]
+    position = frame.gbuffer.position_ws.reshape(-1, 3)[chosen]
+    normal = frame.gbuffer.normal_ws.reshape(-1, 3)[chosen]
+    low, high = frame.geometry.bounds_ws
+    reach = 2 * float(np.linalg.norm(high - low)) + float(np.abs(position).max())
+    hits, lit = lit_hits(position, normal, bvh, vector(-light.direction_ws), PILOT_RAYS, f32(2e-5 * frame.scale_m), f32(reach), seed)
+    return hits[lit]
+
+
+def camera_of(light: Light, frame: Frame, bvh: Bvh, size: tuple[int, int], aspect: float) -> Camera | None:
+    """The view of a lamp; None for a sun whose light reaches nothing that matters."""
+    if light.kind is LightKind.SPOT:
+        return spot_camera(light, size, aspect)
+    if light.kind is not LightKind.SUN:
+        return sphere_camera(light, size)
+    points = points_that_matter(frame, light, bvh)
+    return sun_camera(light, points.astype(np.float64), frame.geometry.bounds_ws, size, aspect) if len(points) else None
+
+
+def clip_range_m(light: Light, camera: Camera, frame: Frame) -> tuple[float, float]:
+    """Near and far clip of a lamp's view: from a hair before the lamp to behind everything."""
+    low, high = (v.astype(np.float64) for v in frame.geometry.bounds_ws)
+    scale = float(np.linalg.norm(high - low))
+    farthest = float(np.linalg.norm(np.maximum(np.abs(low - camera.position_ws), np.abs(high - camera.position_ws))))
+    near = max(light.radius_m, 1e-5 * scale) if light.kind in (LightKind.POINT, LightKind.SPOT) else 1e-5 * scale
+    return max(near, 1e-6), 2 * farthest + scale + 1e-3
+
+
+def cast_view(light_index: int, light: Light, camera: Camera, frame: Frame, bvh: Bvh) -> LightView:
+    """A lamp's view by rays through the triangles: geometric normals, colours as sampled at the corners."""
+    origin_vs, direction_vs = camera.rays_vs()
+    rotation = camera.world_from_view[:3, :3]
+    origin = (origin_vs.reshape(-1, 3) @ rotation.T + camera.position_ws).astype(np.float32)
+    direction = (direction_vs.reshape(-1, 3) @ rotation.T).astype(np.float32)
+    near, far = clip_range_m(light, camera, frame)
+    depth, slot, u, v = cast_rays(origin, direction, bvh, f32(near), f32(far))
+    hit = slot >= 0
+    triangle = bvh.source[np.where(hit, slot, 0)] if len(bvh.source) else np.zeros(len(slot), np.int32)
+    shape = (camera.height_px, camera.width_px)
+    position, normal = np.zeros((len(hit), 3), np.float32), np.tile(np.float32([0, 0, 1]), (len(hit), 1))
+    albedo, specular, emission = (np.zeros((len(hit), 3), np.float32) for _ in range(3))
+    roughness = np.ones(len(hit), np.float32)
+    if hit.any():
+        geometry, of = frame.geometry, triangle[hit]
+        position[hit] = origin[hit] + depth[hit, None] * direction[hit]
+        corners = geometry.corners_ws[of]
+        face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        face /= np.maximum(np.linalg.norm(face, axis=1, keepdims=True), 1e-30)
+        normal[hit] = np.where((face * direction[hit]).sum(1, keepdims=True) > 0, -face, face)
+        weight = np.stack([1 - u[hit] - v[hit], u[hit], v[hit]], 1)
+        albedo[hit] = (geometry.albedo[of] * weight[..., None]).sum(1)
+        materials = frame.materials or (Material("none"),)
+        index = np.clip(geometry.material[of], 0, len(materials) - 1)
+        specular[hit] = np.array([m.specular for m in materials], np.float32)[index]
+        roughness[hit] = np.array([m.roughness for m in materials], np.float32)[index]
+    gbuffer = GBuffer(depth.reshape(shape), position.reshape(*shape, 3), normal.reshape(*shape, 3), albedo.reshape(*shape, 3),
+                      specular.reshape(*shape, 3), roughness.reshape(shape), emission.reshape(*shape, 3))
+    return view_of(light_index, light, camera, gbuffer)
+
+
+def view_of(light_index: int, light: Light, camera: Camera, gbuffer: GBuffer) -> LightView:
+    """A captured G-buffer as a light's view, with the flux that each texel takes."""
+    flux = texel_flux(light, camera) * gbuffer.mask[..., None]
+    return LightView(light_index, camera, gbuffer, flux)
