@@ -162,23 +162,12 @@ def last_render_lines(report: dict) -> Iterator[tuple[str, str]]:
         yield "ERROR", warning
 
 
-def plan_lines(plan: object) -> Iterator[str]:
-    """The plan of a report in words, however deep it is nested."""
-    if isinstance(plan, str):
-        yield plan
-    elif isinstance(plan, dict):
-        for key, value in plan.items():
-            words = list(plan_lines(value))
-            if len(words) == 1:
-                yield f"{key}: {words[0]}"
-            elif words:
-                yield f"{key}:"
-                yield from words
-    elif isinstance(plan, (list, tuple)):
-        for item in plan:
-            yield from ([", ".join(f"{v}" for v in item.values())] if isinstance(item, dict) else plan_lines(item))
-    elif plan is not None:
-        yield str(plan)
+def plan_lines(plan: dict) -> Iterator[str]:
+    """The plan of a report in words: what ran, then what was left out and why."""
+    for run in plan["runs"]:
+        yield f"{run['label']} ran"
+    for item in plan["left_out"]:
+        yield f"{item['what']} left out: {item['why']}"
 
 
 class RTGI_PT_last_render(_RenderPanel, bpy.types.Panel):

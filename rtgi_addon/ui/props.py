@@ -13,6 +13,7 @@ import bpy
 from ..core.params import Params
 from ..core.settings import PRESETS, Settings
 from ..core.techniques import ALWAYS_ON, LABELS, PRESET_PARAMS, TECHNIQUE_PARAMS, optional_techniques
+from .preferences import preferred_threads
 
 _UNIT_SUFFIXES = ("_px", "_m", "_rad")
 _SUBTYPES = {"px": "PIXEL", "m": "DISTANCE", "rad": "ANGLE"}
@@ -100,16 +101,15 @@ def _value(group: bpy.types.PropertyGroup, field: dataclasses.Field) -> Any:
     return float(f"{value:.7g}") if isinstance(value, float) else value
 
 
-def settings_from_scene(scene: bpy.types.Scene, threads: int = 0) -> Settings:
+def settings_from_scene(scene: bpy.types.Scene) -> Settings:
     """Settings of a scene or of its evaluated copy.
 
-    A fixed number of threads in the scene's Performance panel stands above `threads`; 0 means all.
+    A fixed number of threads in the scene's Performance panel stands above the one in the add-on's preferences.
     """
     group = scene.rtgi
     params = {name: kind(**{field.name: _value(getattr(group, name), field) for field in dataclasses.fields(kind)})
               for name, kind in TECHNIQUE_PARAMS.items()}
-    if scene.render.threads_mode == "FIXED":
-        threads = scene.render.threads
+    threads = scene.render.threads if scene.render.threads_mode == "FIXED" else preferred_threads()
     return Settings(preset=group.preset, use_auto=group.use_auto,
                     enabled={name: is_enabled(group, name) for name in TECHNIQUE_PARAMS}, params=params, threads=threads,
                     seed=group.seed)

@@ -1,0 +1,181 @@
+"""What the command line understands and refuses, without Blender."""
+
+import gzip
+from pathlib import Path
+
+import pytest
+
+from rtgi_addon import cli
+from rtgi_addon.blendfile import blend_version, refuse_newer
+from rtgi_addon.core.techniques import default_settings
+from rtgi_addon.errors import InputError
+
+
+def blend(path: Path, head: bytes = b"BLENDER17-01v0502REND") -> Path:
+    path.write_bytes(head + bytes(64))
+    return path
+
+
+def run(capsys, *argv) -> tuple[int, list[str]]:
+    """Exit code and the lines on stderr."""
+    code = cli.main([str(a) for a in argv])
+    return code, capsys.readouterr().err.splitlines()
+
+
+def test_missing_scene_is_one_line_and_code_2(tmp_path, capsys):
+    code, lines = run(capsys, "render", tmp_path / "none.blend", "-o", tmp_path / "o.exr")
+    assert code == 2 and len(lines) == 1 and "there is no file" in lines[0]
+
+
+def test_file_that_is_no_blend_is_one_line_and_code_2(tmp_path, capsys):
+    (tmp_path / "text.blend").write_text("hello")
+    code, lines = run(capsys, "render", tmp_path / "text.blend", "-o", tmp_path / "o.exr")
+    assert code == 2 and len(lines) == 1 and "is not a .blend file" in lines[0]
+
+
+def test_unknown_technique_names_the_nearest(tmp_path, capsys):
+    code, lines = run(capsys, "render", blend(tmp_path / "a.blend"), "-o", tmp_path / "o.exr", "--techniques", "rms")
+    assert code == 2 and len(lines) == 1 and "did you mean 'rsm'" in lines[0]
+
+
+def test_unknown_preset_names_the_known_ones(tmp_path, capsys):
+    code, lines = run(capsys, "render", blend(tmp_path / "a.blend"), "-o", tmp_path / "o.exr", "--preset", "best")
+    assert code == 2 and len(lines) == 1 and "draft, balanced, quality" in lines[0]
+
+
+def test_output_in_a_missing_folder_is_refused(tmp_path, capsys):
+    code, lines = run(capsys, "render", blend(tmp_path / "a.blend"), "-o", tmp_path / "none" / "o.exr")
+    assert code == 2 and len(lines) == 1 and "cannot write" in lines[0]
+
+
+def test_output_under_a_file_is_refused(tmp_path, capsys):
+    scene = blend(tmp_path / "a.blend")
+    code, lines = run(capsys, "render", scene, "-o", scene / "o.exr")
+    assert code == 2 and len(lines) == 1 and "cannot write" in lines[0]
+
+
+def test_output_of_another_kind_is_refused(tmp_path, capsys):
+    code, lines = run(capsys, "render", blend(tmp_path / "a.blend"), "-o", tmp_path / "o.jpg")
+    assert code == 2 and len(lines) == 1 and "must end in .exr or .png" in lines[0]
+
+
+@pytest.mark.parametrize("size", ["0x540", "960x0", "0x0"])
+def test_picture_of_zero_size_is_refused(tmp_path, capsys, size):
+    code, lines = run(capsys, "render", blend(tmp_path / "a.blend"), "-o", tmp_path / "o.exr", "--size", size)
+    assert code == 2 and len(lines) == 1 and "zero size" in lines[0]
+
+
+def test_reversed_frames_are_refused_with_the_right_order(tmp_path, capsys):
+    code, lines = run(capsys, "render", blend(tmp_path / "a.blend"), "-o", tmp_path / "o.exr", "--frames", "9-2")
+    assert code == 2 and len(lines) == 1 and "write 2-9" in lines[0]
+
+
+def test_missing_words_are_one_line(capsys):
+    code, lines = run(capsys, "render")
+    assert code == 2 and len(lines) == 1 and "--output" in lines[0]
+
+
+def test_unknown_command_is_one_line(capsys):
+    code, lines = run(capsys, "rendr")
+    assert code == 2 and len(lines) == 1
+
+
+def test_refused_words_leave_no_file(tmp_path, capsys):
+    scene = blend(tmp_path / "a.blend")
+    run(capsys, "render", scene, "-o", tmp_path / "o.exr", "--passes", tmp_path / "p.png")
+    assert sorted(tmp_path.iterdir()) == [scene]
+
+
+@pytest.mark.parametrize("command", [[], ["render"], ["doctor"], ["warmup"]])
+def test_help_ends_with_code_0(capsys, command):
+    assert cli.main([*command, "--help"]) == 0
+    assert "usage: rtgi" in capsys.readouterr().out
+
+
+def test_frames_include_the_last():
+    assert list(cli.parse_frames("3-5")) == [3, 4, 5]
+
+
+def test_frames_may_be_negative():
+    assert list(cli.parse_frames("-2--1")) == [-2, -1]
+
+
+def test_number_fills_the_hashes():
+    assert cli.numbered(Path("a/door_####.exr"), 7, True) == Path("a/door_0007.exr")
+
+
+def test_number_is_appended_in_a_sequence_without_hashes():
+    assert cli.numbered(Path("a/door.exr"), 7, True) == Path("a/door_0007.exr")
+
+
+def test_single_frame_keeps_its_plain_name():
+    assert cli.numbered(Path("a/door.exr"), 7, False) == Path("a/door.exr")
+
+
+@pytest.mark.parametrize("text", ["rsm.rays=many", "rsm.none=1", "none.rays=1", "rays=1", "rsm.glossy_texels=maybe"])
+def test_wrong_setting_is_refused(text):
+    with pytest.raises(InputError):
+        cli.parse_setting(text)
+
+
+def test_setting_takes_the_type_of_its_default():
+    assert cli.parse_setting("rsm.rays=64") == ("rsm", "rays", 64)
+    assert cli.parse_setting("rsm.radius=0.5") == ("rsm", "radius", 0.5)
+    assert cli.parse_setting("rsm.method=all") == ("rsm", "method", "ALL")
+    assert cli.parse_setting("rsm.glossy_texels=off") == ("rsm", "glossy_texels", False)
+
+
+def words(*argv):
+    return cli.parser().parse_args(["render", "a.blend", "-o", "o.exr", *argv])
+
+
+def test_words_that_say_nothing_keep_the_scenes_settings():
+    before = default_settings("DRAFT").with_params("rsm", rays=5)
+    assert cli.settings_from_words(words(), before) == before
+
+
+def test_listed_techniques_switch_the_planner_off():
+    settings = cli.settings_from_words(words("--techniques", "direct"), default_settings())
+    assert not settings.use_auto and not settings.enabled["rsm"] and settings.enabled["world"]
+
+
+def test_setting_out_of_range_is_refused():
+    with pytest.raises(InputError, match="rsm.rays must be from 1 to 1024"):
+        cli.settings_from_words(words("--set", "rsm.rays=0"), default_settings())
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(0.4, "0:00"), (65, "1:05"), (3725, "1:02:05")])
+def test_clock_reads_like_a_clock(seconds, text):
+    assert cli.clock(seconds) == text
+
+
+@pytest.mark.parametrize(("head", "version"), [(b"BLENDER-v405RENDH", (4, 5)), (b"BLENDER_V279RENDH", (2, 79)),
+                                               (b"BLENDER17-01v0503", (5, 3))])
+def test_version_is_read_from_old_and_new_heads(tmp_path, head, version):
+    assert blend_version(blend(tmp_path / "a.blend", head)) == version
+
+
+def test_version_is_read_from_a_gzip_file(tmp_path):
+    path = tmp_path / "a.blend"
+    with gzip.open(path, "wb") as file:
+        file.write(b"BLENDER-v279" + bytes(50))
+    assert blend_version(path) == (2, 79)
+
+
+@pytest.mark.parametrize("start", [b"\x28\xb5\x2f\xfd", b"\x1f\x8b"])
+def test_broken_compressed_file_is_no_blend(tmp_path, start):
+    with pytest.raises(InputError, match="is not a .blend file"):
+        blend_version(blend(tmp_path / "a.blend", start + b"broken"))
+
+
+def test_file_of_a_newer_blender_is_refused(tmp_path):
+    with pytest.raises(InputError, match="saved by Blender 5.3, this is 5.2"):
+        refuse_newer(blend(tmp_path / "a.blend", b"BLENDER17-01v0503"), (5, 2))
+
+
+def test_blender_4_5_reads_a_5_0_file_with_a_warning(tmp_path):
+    assert "it loads" in refuse_newer(blend(tmp_path / "a.blend", b"BLENDER17-01v0500"), (4, 5))
+
+
+def test_file_of_the_same_blender_needs_no_warning(tmp_path):
+    assert refuse_newer(blend(tmp_path / "a.blend"), (5, 2)) is None
