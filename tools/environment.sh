@@ -9,9 +9,14 @@ is_python() {
     "$1" -c "import sys; sys.exit('%d.%d' % sys.version_info[:2] != '$2')" >/dev/null 2>&1
 }
 
-# Prints the first interpreter of version $1: $PYTHON, the PATH's, an installed one of pyenv.
+# Prints the first interpreter of version $1: $PYTHON, the PATH's, an installed one of pyenv (whose folder a shim tells).
 find_python() {
-    for candidate in "${PYTHON:-}" "python$1" python3 "${PYENV_ROOT:-${HOME:-}/.pyenv}/versions/$1".*/bin/python; do
+    shim=$(command -v "python$1" 2>/dev/null || true)
+    case "$shim" in
+    */shims/*) pyenv=${shim%/shims/*} ;;
+    *) pyenv=${PYENV_ROOT:-${HOME:-}/.pyenv} ;;
+    esac
+    for candidate in "${PYTHON:-}" "python$1" python3 "$pyenv/versions/$1".*/bin/python; do
         if [ -n "$candidate" ] && is_python "$candidate" "$1"; then
             command -v "$candidate"
             return 0

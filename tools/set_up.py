@@ -116,9 +116,10 @@ def create_venv(may_install: bool) -> None:
 
 def install(wanted: list[str]) -> None:
     """Let pip bring `wanted`; ready-built wheels only, so that no compiler is asked for."""
-    say(f"Installing {', '.join(wanted)}: the first time this loads about 500 MB and takes some minutes")
-    words = [str(PYTHON), "-m", "pip", "install", "--quiet", "--no-input", "--disable-pip-version-check", "--only-binary=:all:"]
-    if subprocess.run(words + wanted, stdin=subprocess.DEVNULL, stdout=sys.stderr).returncode:
+    say(f"Installing Blender as a module (bpy), numba and the rest of pyproject.toml into {VENV.name}: some minutes")
+    options = ["--quiet", "--no-input", "--disable-pip-version-check", "--only-binary=:all:"]
+    words = [str(PYTHON), "-m", "pip", "install", *options, *wanted]
+    if subprocess.run(words, stdin=subprocess.DEVNULL, stdout=sys.stderr).returncode:
         raise SetUpError(f"pip could not install the packages; its own message is above. Mend the network or pip's "
                          f"settings and run this again (64-bit Linux is needed, and the disk needs 3 GB in {ROOT})")
 
