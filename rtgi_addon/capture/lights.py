@@ -81,6 +81,7 @@ def read_light(instance: bpy.types.DepsgraphObjectInstance, origin_ws: np.ndarra
         return Light(kind=_AREA_KINDS[lamp.shape], power=strength * unit, size_x_m=size_x, size_y_m=size_y,
                      spread_rad=lamp.spread, **common)
     unit = radiometry.point_intensity(1.0, lamp.shadow_soft_size, normalize)
+    common["is_sphere"] = not lamp.use_soft_falloff
     if lamp.type == "SPOT":
         return Light(kind=LightKind.SPOT, power=strength * unit, radius_m=lamp.shadow_soft_size,
                      spot_size_rad=min(lamp.spot_size, math.pi - 1e-4), spot_blend=lamp.spot_blend, **common)

@@ -57,6 +57,9 @@ class Light:
     casts_shadow : bool
     diffuse_factor, glossy_factor : float
         Shares of this lamp's light that the two lobes take (the lamp's own "influence" settings).
+    is_sphere : bool
+        A POINT or SPOT with a radius is a sphere; otherwise a disk that turns towards each receiver (Blender's default,
+        "soft falloff").
     """
 
     name: str
@@ -73,6 +76,7 @@ class Light:
     casts_shadow: bool = True
     diffuse_factor: float = 1.0
     glossy_factor: float = 1.0
+    is_sphere: bool = False
 
     @property
     def position_ws(self) -> np.ndarray:
