@@ -4,6 +4,9 @@ Cycles' passes tell how much a glossy surface reflects towards the viewer ("Glos
 and colour are in it), but not where to. `ggx_lobe` gives the shape, `lobe_gain` makes its hemispherical integral 1, and
 the pass's colour scales it. By reciprocity one function serves both uses: light arrives along `fixed` and leaves along
 `other` (a reflective shadow map's texel), or leaves along `fixed` and arrives along `other` (a camera's pixel).
+
+Whether Fresnel rises (a dielectric) or not (a metal) is told by the colour too: `normal_reflectance` solves it for the
+reflectance at normal incidence. Without it every surface is taken as a dielectric of index 1.5.
 """
 
 from __future__ import annotations
@@ -19,18 +22,20 @@ from .vec3 import ONE, ZERO, Vec3, add, dot, f32, normalized_or
 INV_PI = f32(1 / math.pi)
 HALF = f32(0.5)
 F0 = f32(0.04)              # Schlick's reflectance at normal incidence of a dielectric of index 1.5
-GAIN_STEPS = 32             # cells of the table of gains, along cosine and along alpha
+GAIN_STEPS = 32             # cells of the tables of albedos, along cosine and along alpha
+_QUADRATURE = 48            # nodes an axis of the integral over the hemisphere
+_LEAST_ALPHA = 0.05         # below it the quadrature misses the peak, and the albedo has long reached that of a mirror
 
 
 @device_jit
-def schlick(cosine):
-    """Schlick's Fresnel reflectance of a dielectric of index 1.5."""
+def schlick(cosine, f0=F0):
+    """Schlick's Fresnel reflectance of a surface that reflects `f0` at normal incidence."""
     m = ONE - cosine
-    return F0 + (ONE - F0) * m * m * m * m * m
+    return f0 + (ONE - f0) * m * m * m * m * m
 
 
 @device_jit
-def ggx_lobe(normal, fixed, other, alpha2):
+def ggx_lobe(normal, fixed, other, alpha2, f0=F0):
     """BRDF times the cosine of `other`, 1/sr, up to the gain; all vectors unit, both directions away from the surface.
 
     `alpha2` is the fourth power of the perceptual roughness. Fresnel is relative to its value at `fixed`, since the
@@ -40,18 +45,20 @@ def ggx_lobe(normal, fixed, other, alpha2):
     cos_h, cos_d = dot(normal, h), max(dot(h, fixed), ZERO)
     cos_f, cos_o = max(dot(normal, fixed), f32(0.02)), max(dot(normal, other), ZERO)
     t = cos_h * cos_h * (alpha2 - ONE) + ONE
-    shadow = cos_o * math.sqrt(cos_f * cos_f * (ONE - alpha2) + alpha2) + cos_f * math.sqrt(cos_o * cos_o * (ONE - alpha2) + alpha2)
+    shadow = (cos_o * math.sqrt(cos_f * cos_f * (ONE - alpha2) + alpha2)
+              + cos_f * math.sqrt(cos_o * cos_o * (ONE - alpha2) + alpha2))
     return (alpha2 * INV_PI / (t * t + f32(1e-12)) * HALF / (shadow + f32(1e-9)) * cos_o
-            * schlick(cos_d) / schlick(cos_f))
+            * schlick(cos_d, f0) / schlick(cos_f, f0))
 
 
 @device_jit
-def _gains(steps, quadrature):
-    out = np.zeros((steps, steps), np.float32)
+def _albedos(steps, quadrature, least_alpha):
+    """(steps, steps, 2) float32: hemispherical integrals of the lobe without Fresnel, and with Fresnel's rise alone."""
+    out = np.zeros((steps, steps, 2), np.float32)
     up = Vec3(ZERO, ZERO, ONE)
     for i in range(steps):
         for j in range(steps):
-            cos_f, alpha, total = (i + 0.5) / steps, max((j + 0.5) / steps, 0.05), 0.0
+            cos_f, alpha, flat, rise = (i + 0.5) / steps, max((j + 0.5) / steps, least_alpha), 0.0, 0.0
             fixed = Vec3(f32(math.sqrt(1 - cos_f * cos_f)), ZERO, f32(cos_f))
             for u in range(quadrature):
                 cos_o = math.sqrt((u + 0.5) / quadrature)
@@ -59,19 +66,39 @@ def _gains(steps, quadrature):
                 for v in range(quadrature):
                     phi = (v + 0.5) / quadrature * math.pi
                     other = Vec3(f32(sin_o * math.cos(phi)), f32(sin_o * math.sin(phi)), f32(cos_o))
-                    total += ggx_lobe(up, fixed, other, f32(alpha * alpha)) / cos_o
-            out[i, j] = 1 / max(total * math.pi / (quadrature * quadrature), 0.02)
+                    lobe = ggx_lobe(up, fixed, other, f32(alpha * alpha), ONE) / cos_o
+                    cos_d = dot(normalized_or(add(fixed, other), up), fixed)
+                    flat += lobe
+                    rise += lobe * (1 - cos_d) ** 5
+            out[i, j, 0] = flat * math.pi / (quadrature * quadrature)
+            out[i, j, 1] = rise * math.pi / (quadrature * quadrature)
     return out
 
 
 @functools.cache
-def gain_table() -> np.ndarray:
-    """(GAIN_STEPS, GAIN_STEPS) float32 gains over the cosine of `fixed` and GGX alpha, cell centres at + 0.5."""
-    return _gains(GAIN_STEPS, 48)
+def _albedo_table() -> np.ndarray:
+    return _albedos(GAIN_STEPS, _QUADRATURE, _LEAST_ALPHA)
 
 
-def lobe_gain(cos_fixed: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """1 / (hemispherical integral of `ggx_lobe`) for cosines of `fixed` and GGX alphas (squared roughness), (N,) each."""
+def _albedos_at(cos_fixed: np.ndarray, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     row = np.clip((cos_fixed * GAIN_STEPS).astype(np.int32), 0, GAIN_STEPS - 1)
     column = np.clip((alpha * GAIN_STEPS).astype(np.int32), 0, GAIN_STEPS - 1)
-    return gain_table()[row, column]
+    both = _albedo_table()[row, column]
+    return both[..., 0], both[..., 1]
+
+
+def lobe_gain(cos_fixed: np.ndarray, alpha: np.ndarray, f0: np.ndarray | float = float(F0)) -> np.ndarray:
+    """1 / (hemispherical integral of `ggx_lobe`) for cosines of `fixed` and GGX alphas (squared roughness), any shape."""
+    flat, rise = _albedos_at(cos_fixed, alpha)
+    at_fixed = f0 + (1 - f0) * (1 - np.clip(cos_fixed, 0.02, 1)) ** 5
+    return (at_fixed / np.maximum(f0 * flat + (1 - f0) * rise, 0.02 * at_fixed)).astype(np.float32)
+
+
+def normal_reflectance(reflectance: np.ndarray, cos_fixed: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Schlick's F0 of surfaces whose directional reflectance towards `fixed` is known; float32 in [0.02, 1].
+
+    With r the share of the lobe that Fresnel's rise takes, reflectance = F0 + (1 - F0) r.
+    """
+    flat, rise = _albedos_at(cos_fixed, alpha)
+    r = np.minimum(rise / np.maximum(flat, 1e-3), 0.95)
+    return np.clip((reflectance - r) / (1 - r), 0.02, 1).astype(np.float32)

@@ -1,0 +1,242 @@
+"""What lamps of every shape send to a point: sampled over the shape, and summed without shadows.
+
+A lamp of unit strength; its colour and power multiply later. `lamp_sample` gives the vector from a point to a place on
+the lamp and a weight such that the mean of weight x cos(receiver) over the shape is the irradiance. The shapes follow
+Cycles: a point or spot is a disk that turns towards the receiver (Blender's "soft falloff"), or a sphere; a sun is a
+cone of directions; rectangles and ellipses shine on one side, narrowed by a grid of tubes if they have a spread.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .brdf import ggx_lobe
+from .jit import device_jit
+from .sampling import disk, r2_sequence
+from .vec3 import ONE, ZERO, Vec3, cross, dot, f32, length, load, normalized_or, scaled, sub, tangent_frame
+
+POSITION, DIRECTION, AXIS_X, AXIS_Y = 0, 1, 2, 3
+DISK_LAMP, SPHERE_LAMP, SUN_LAMP, RECTANGLE_LAMP, ELLIPSE_LAMP = 0, 1, 2, 3, 4
+PI = f32(math.pi)
+HALF = f32(0.5)
+NEAR = f32(0.1)             # half size over distance above which an area light is summed in closed form
+TINY = f32(0.004)           # half size over distance below which the centre stands for the shape
+GAUSS = f32(0.57735027)     # node of the two-point Gauss rule on [-1, 1]
+POLYGON = 16                # sides of the polygon that stands for an ellipse; of equal area, 0.03 % at most
+AREA_SAMPLES = 32           # of the sums that have no closed form
+LEAST_ALPHA = f32(0.006)    # sharper lobes are below float32's resolution of the half vector
+
+
+class Lamp(NamedTuple):
+    """A lamp as kernels take it; lengths in m, vectors unit.
+
+    places: (4, 3) float32, rows POSITION, DIRECTION (along which it shines), AXIS_X, AXIS_Y. half_x, half_y: half sizes (a radius for points and spots, the tangent of half the angle for a sun); spot_edge,
+    spot_scale: cosine where a spot's cone ends and 1 / (its soft edge); without a cone spot_scale is 0. tan_spread and
+    spread_gain: see `radiometry.spread_factor`; spread_gain is 0 for a Lambertian light.
+    """
+
+    kind: int
+    places: np.ndarray
+    half_x: np.float32
+    half_y: np.float32
+    spot_edge: np.float32
+    spot_scale: np.float32
+    tan_spread: np.float32
+    spread_gain: np.float32
+    far: np.float32         # length in m of a shadow ray to a sun
+
+
+@device_jit
+def _plus(a, x, s, y, t):
+    return Vec3(a.x + x.x * s + y.x * t, a.y + x.y * s + y.y * t, a.z + x.z * s + y.z * t)
+
+
+@device_jit
+def _spot_share(lamp, unit):
+    """Share of the axis intensity along `unit`, which points from the receiver to the lamp: smoothstep of the cosine."""
+    if lamp.spot_scale == ZERO:
+        return ONE
+    t = min(max((-dot(load(lamp.places, DIRECTION), unit) - lamp.spot_edge) * lamp.spot_scale, ZERO), ONE)
+    return t * t * (f32(3) - f32(2) * t)
+
+
+@device_jit
+def _area_weight(lamp, d, area):
+    """Radiance to irradiance for a patch of `area` m2 of a one-sided light at `d` from the receiver."""
+    distance_sq = dot(d, d)
+    cos_light = -dot(load(lamp.places, DIRECTION), d) / math.sqrt(max(distance_sq, f32(1e-30)))
+    if cos_light <= f32(1e-6):
+        return ZERO
+    share = ONE
+    if lamp.spread_gain > ZERO:
+        tangent = math.sqrt(max(ZERO, ONE - cos_light * cos_light)) / cos_light
+        share = max(lamp.tan_spread - tangent, ZERO) * lamp.spread_gain
+    return share * area * cos_light / max(distance_sq, f32(1e-30))
+
+
+@device_jit
+def lamp_at(lamp, p, x, y):
+    """(vector from p to the lamp's point (x, y), weight): (x, y) in the unit disk, or in [-1, 1]^2 for a rectangle."""
+    to = sub(load(lamp.places, POSITION), p)
+    if lamp.kind == SUN_LAMP:
+        d = _plus(scaled(load(lamp.places, DIRECTION), -ONE), load(lamp.places, AXIS_X), x * lamp.half_x, load(lamp.places, AXIS_Y), y * lamp.half_x)
+        return scaled(d, lamp.far), ONE
+    if lamp.kind >= RECTANGLE_LAMP:
+        area = f32(4) * lamp.half_x * lamp.half_y * (ONE if lamp.kind == RECTANGLE_LAMP else f32(math.pi / 4))
+        d = _plus(to, load(lamp.places, AXIS_X), x * lamp.half_x, load(lamp.places, AXIS_Y), y * lamp.half_y)
+        return d, _area_weight(lamp, d, area)
+    distance_sq = max(dot(to, to), f32(1e-30))
+    distance = math.sqrt(distance_sq)
+    axis = scaled(to, ONE / distance)
+    r = lamp.half_x
+    if r == ZERO:
+        return to, _spot_share(lamp, axis) / distance_sq
+    t, b = tangent_frame(axis)
+    if lamp.kind == DISK_LAMP:
+        d = _plus(to, t, x * r, b, y * r)
+        d_sq = max(dot(d, d), f32(1e-30))
+        d_length = math.sqrt(d_sq)
+        return d, _spot_share(lamp, scaled(d, ONE / d_length)) * distance / (d_length * d_sq)
+    # a sphere: (x, y) fills its cone of directions evenly; inside it the cone is the half space of the centre
+    sin_sq = min(r * r / distance_sq, ONE)
+    widest = sin_sq / (ONE + math.sqrt(ONE - sin_sq))          # 1 - cos of the cone's half angle, without cancellation
+    rho_sq = min(x * x + y * y, ONE)
+    drop = rho_sq * widest
+    side = math.sqrt(max(f32(2) - drop, ZERO) * widest)        # sin(theta) / rho
+    unit = _plus(scaled(axis, ONE - drop), t, x * side, b, y * side)
+    cosine = ONE - drop
+    reach = distance * cosine - math.sqrt(max(r * r - distance_sq * (ONE - cosine * cosine), ZERO))
+    return scaled(unit, max(reach, f32(1e-6) * distance)), _spot_share(lamp, unit) * f32(2) * widest / (r * r)
+
+
+@device_jit
+def lamp_sample(lamp, p, u, v):
+    """`lamp_at` for (u, v) in [0, 1)^2, evenly over the shape; with a narrow spread, over the part that p can see."""
+    if lamp.kind == RECTANGLE_LAMP or lamp.spread_gain > ZERO:
+        low_x, high_x, low_y, high_y, share = -ONE, ONE, -ONE, ONE, ONE
+        if lamp.spread_gain > ZERO:
+            to = sub(p, load(lamp.places, POSITION))
+            reach = dot(to, load(lamp.places, DIRECTION)) * lamp.tan_spread
+            x, y = dot(to, load(lamp.places, AXIS_X)), dot(to, load(lamp.places, AXIS_Y))
+            low_x, high_x = max((x - reach) / lamp.half_x, -ONE), min((x + reach) / lamp.half_x, ONE)
+            low_y, high_y = max((y - reach) / lamp.half_y, -ONE), min((y + reach) / lamp.half_y, ONE)
+            if low_x >= high_x or low_y >= high_y:
+                return to, ZERO
+            share = (high_x - low_x) * (high_y - low_y) / f32(4)
+        x, y = low_x + u * (high_x - low_x), low_y + v * (high_y - low_y)
+        if lamp.kind == RECTANGLE_LAMP:
+            d, weight = lamp_at(lamp, p, x, y)
+            return d, weight * share
+        d, weight = lamp_at(lamp, p, x, y)
+        return d, (weight * share * f32(4 / math.pi) if x * x + y * y <= ONE else ZERO)
+    x, y = disk(u, v)
+    return lamp_at(lamp, p, x, y)
+
+
+@device_jit
+def rim_point(lamp, i, turn):
+    """(x, y) of pilot i of six for `lamp_at`: around the rim of a round shape, corners and two places of a rectangle."""
+    if lamp.kind == RECTANGLE_LAMP:
+        if i >= 4:
+            return (f32(0.3), f32(-0.2)) if i == 4 else (f32(-0.3), f32(0.2))
+        return f32(0.96) * (ONE if i & 1 else -ONE), f32(0.96) * (ONE if i & 2 else -ONE)
+    angle = (f32(i) + turn) * f32(math.pi / 3)
+    return f32(0.96) * math.cos(angle), f32(0.96) * math.sin(angle)
+
+
+@device_jit
+def _arc(a, b, n):
+    """An edge's part of Lambert's sum: the angle it spans times the cosine of its plane's normal to n."""
+    c = cross(a, b)
+    size = length(c)
+    if size <= ZERO:
+        return ZERO
+    return math.atan2(size, dot(a, b)) * dot(c, n) / size
+
+
+@device_jit
+def _polygon_irradiance(lamp, p, n):
+    """Irradiance from a Lambertian rectangle or ellipse of radiance 1: Lambert's sum over its edges above the horizon."""
+    sides = 4 if lamp.kind == RECTANGLE_LAMP else POLYGON
+    # circumradius of the regular polygon with the disk's area
+    wide = f32(math.sqrt(2)) if lamp.kind == RECTANGLE_LAMP else f32(
+        math.sqrt(math.pi / (POLYGON / 2 * math.sin(2 * math.pi / POLYGON))))
+    to = sub(load(lamp.places, POSITION), p)
+    total = ZERO
+    leaving, entering, is_cut = to, to, False
+    turn = f32(2 * math.pi) / f32(sides)
+    wide_x, wide_y = lamp.half_x * wide, lamp.half_y * wide
+    a = _plus(to, load(lamp.places, AXIS_X), wide_x * math.cos(HALF * turn), load(lamp.places, AXIS_Y), wide_y * math.sin(HALF * turn))
+    height_a = dot(a, n)
+    for i in range(sides):
+        angle = (f32(i) + f32(1.5)) * turn
+        b = _plus(to, load(lamp.places, AXIS_X), wide_x * math.cos(angle), load(lamp.places, AXIS_Y), wide_y * math.sin(angle))
+        height_b = dot(b, n)
+        start, end = a, b
+        if (height_a > ZERO) != (height_b > ZERO):
+            t = height_a / (height_a - height_b)
+            cut = Vec3(a.x + t * (b.x - a.x), a.y + t * (b.y - a.y), a.z + t * (b.z - a.z))
+            is_cut = True
+            if height_a > ZERO:
+                end, leaving = cut, cut
+            else:
+                start, entering = cut, cut
+        if height_a > ZERO or height_b > ZERO:
+            total += _arc(start, end, n)
+        a, height_a = b, height_b
+    if is_cut:
+        total += _arc(leaving, entering, n)
+    return HALF * abs(total)
+
+
+@device_jit
+def _glossy_at(n, viewer, d, weight, alpha2, f0):
+    return weight * ggx_lobe(n, viewer, normalized_or(d, n), alpha2, f0)
+
+
+@device_jit
+def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
+    """(irradiance, integral of radiance x glossy lobe) at p from a lamp of unit strength, nothing standing between.
+
+    The lobe is widened by the part of the lamp that each of the sum's samples stands for.
+    """
+    diffuse, glossy = ZERO, ZERO
+    to = sub(load(lamp.places, POSITION), p)
+    is_area = lamp.kind >= RECTANGLE_LAMP
+    if is_area and dot(to, load(lamp.places, DIRECTION)) >= ZERO:
+        return ZERO, ZERO
+    size = max(lamp.half_x, lamp.half_y) if lamp.kind != SUN_LAMP else lamp.half_x
+    if lamp.kind != SUN_LAMP:
+        size /= max(length(to), f32(1e-20))
+    if lamp.spread_gain > ZERO or (is_area and size > NEAR):
+        widened = max(alpha, f32(0.12) * min(size, ONE))
+        is_closed = lamp.spread_gain == ZERO
+        if is_closed:
+            diffuse = _polygon_irradiance(lamp, p, n)
+        if is_glossy or not is_closed:
+            for i in range(AREA_SAMPLES):
+                u, v = r2_sequence(i, shift_u, shift_v)
+                d, weight = lamp_sample(lamp, p, u, v)
+                if not is_closed:
+                    diffuse += weight * max(dot(n, normalized_or(d, n)), ZERO) / f32(AREA_SAMPLES)
+                if is_glossy and weight > ZERO:
+                    glossy += _glossy_at(n, viewer, d, weight, widened * widened, f0) / f32(AREA_SAMPLES)
+        return diffuse, glossy
+    if size < TINY and not is_area:
+        d, weight = lamp_at(lamp, p, ZERO, ZERO)
+        diffuse = weight * max(dot(n, normalized_or(d, n)), ZERO)
+        if is_glossy and weight > ZERO:
+            widened = max(max(alpha, HALF * size), LEAST_ALPHA)
+            glossy = _glossy_at(n, viewer, d, weight, widened * widened, f0)
+        return diffuse, glossy
+    node = GAUSS if lamp.kind == RECTANGLE_LAMP else HALF
+    widened = max(max(alpha, f32(0.25) * size), LEAST_ALPHA)
+    for i in range(4):
+        d, weight = lamp_at(lamp, p, node if i & 1 else -node, node if i & 2 else -node)
+        diffuse += weight * max(dot(n, normalized_or(d, n)), ZERO) * f32(0.25)
+        if is_glossy and weight > ZERO:
+            glossy += _glossy_at(n, viewer, d, weight, widened * widened, f0) * f32(0.25)
+    return diffuse, glossy

@@ -1,0 +1,258 @@
+"""Shadow maps that know what they do not know.
+
+A light's view is asked for three answers about a point: LIT, DARK, or ASK (trace rays). The map is trusted only where
+the surface that it shows is one continuous sheet, and no silhouette is near enough for its half shadow to reach the
+point. So a map of a few hundred texels a side gives exact shadows at the cost of rays along the edges alone.
+
+Heights: h = 1 / depth for perspective and equirectangular views, h = -depth for orthographic ones; larger is nearer to
+the light. On a plane h is an affine function of the texel (exactly, for the two flat projections), so a jump shows as a
+step that no crease between two planes explains. A silhouette of height h_e throws a half shadow of k (h_e - h) texels on
+what lies at height h, with k = source radius / texel angle; its largest value over all silhouettes, less their
+chessboard distance, comes from two raster scans (Rosenfeld and Pfaltz 1966) and is kept as `reach`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .bvh import closest_hit, triangle_normal
+from .jit import device_jit, pixel_jit, prange
+from .vec3 import ONE, ZERO, Vec3, along, dot, f32, scaled
+
+PERSPECTIVE, ORTHOGRAPHIC, EQUIRECTANGULAR = 0, 1, 2
+LIT, DARK, ASK = 1, 2, 3
+NOTHING = f32(-1e30)        # height where a view sees nothing, and reach where no silhouette is
+TOLERANCE_PX = f32(0.05)    # steps below this share of a texel's footprint are seen as one surface
+QUAD_SHARE = f32(0.1)       # and below this share of the height range of the four texels around a point
+MARGIN_PX = f32(1.5)        # silhouettes nearer than this make a point ambiguous for any light
+POLE = f32(0.1)             # rows of an equirectangular view whose cosine of latitude is smaller are never trusted
+
+
+class ShadowMap(NamedTuple):
+    """One light's view, as kernels take it.
+
+    view_from_world (3, 4) float32; left, top: edges of the image plane; step_x, step_y: size of a texel on it;
+    height (H, W) float32; reach (H, W) float32 texels (see the module's docstring); broken (H, W) uint8, 1 beside a jump;
+    k: texels of half shadow for a unit of height.
+    """
+
+    projection: int
+    view_from_world: np.ndarray
+    left: np.float32
+    top: np.float32
+    step_x: np.float32
+    step_y: np.float32
+    height: np.ndarray
+    reach: np.ndarray
+    broken: np.ndarray
+    k: np.float32
+
+
+def build_shadow_map(projection: int, view_from_world: np.ndarray, left: float, top: float, step_x: float, step_y: float,
+                     depth: np.ndarray, source: float) -> ShadowMap:
+    """A ShadowMap of the `depth` (H, W) m that a light sees, +inf for nothing.
+
+    `source` is the radius of the light's shape in m, or for an orthographic view the tangent of half its angle.
+    """
+    seen = np.isfinite(depth) & (depth > 0)
+    safe = np.where(seen, depth, 1)
+    height = np.where(seen, -safe if projection == ORTHOGRAPHIC else 1 / safe, NOTHING).astype(np.float32)
+    k = f32(source / min(step_x, step_y))
+    broken, reach = np.zeros(height.shape, np.uint8), np.empty(height.shape, np.float32)
+    row_scale = np.ones(len(height), np.float32)
+    if projection == EQUIRECTANGULAR:
+        latitude = top - (np.arange(len(height)) + 0.5) * step_y
+        row_scale = (1 / np.maximum(np.cos(latitude), POLE)).astype(np.float32)
+    is_wrapped = projection == EQUIRECTANGULAR and abs(step_x * height.shape[1] - 2 * math.pi) < 1e-3
+    _find_jumps(height, projection == ORTHOGRAPHIC, is_wrapped, f32(max(step_x, step_y)), k, row_scale, broken, reach)
+    for _ in range(2 if is_wrapped else 1):
+        _spread_reach(reach, is_wrapped)
+    return ShadowMap(projection, np.ascontiguousarray(view_from_world[:3], np.float32), f32(left), f32(top), f32(step_x),
+                     f32(step_y), height, reach, broken, k)
+
+
+def no_shadow_map() -> ShadowMap:
+    """A map of one texel that sees nothing: every point is to be asked for by rays."""
+    return ShadowMap(ORTHOGRAPHIC, np.zeros((3, 4), np.float32), ZERO, ZERO, ONE, ONE, np.full((1, 1), NOTHING),
+                     np.full((1, 1), NOTHING), np.ones((1, 1), np.uint8), ZERO)
+
+
+@device_jit
+def _height_or_nothing(height, i, j, is_wrapped):
+    rows, columns = height.shape
+    if is_wrapped:
+        j %= columns
+    if i < 0 or j < 0 or i >= rows or j >= columns:
+        return NOTHING
+    return height[i, j]
+
+
+@device_jit
+def _is_jump(height, i, j, di, dj, is_orthographic, is_wrapped, step):
+    """Is there a gap between texel (i, j) and its neighbour at (+di, +dj)?
+
+    Neither plane nor crease explains it if the step between the two lies outside the steps on their far sides.
+    """
+    a, b = height[i, j], _height_or_nothing(height, i + di, j + dj, is_wrapped)
+    if a == NOTHING or b == NOTHING:
+        return a != b
+    before, after = (_height_or_nothing(height, i - di, j - dj, is_wrapped),
+                     _height_or_nothing(height, i + 2 * di, j + 2 * dj, is_wrapped))
+    gap = b - a
+    left = a - before if before != NOTHING else (after - b if after != NOTHING else ZERO)
+    right = after - b if after != NOTHING else left
+    slack = TOLERANCE_PX * step * (ONE if is_orthographic else max(a, b))
+    return gap < min(left, right) - slack or gap > max(left, right) + slack
+
+
+@pixel_jit
+def _find_jumps(height, is_orthographic, is_wrapped, step, k, row_scale, broken, reach):
+    rows, columns = height.shape
+    for i in prange(rows):
+        for j in range(columns):
+            top = NOTHING
+            if (j + 1 < columns or is_wrapped) and _is_jump(height, i, j, 0, 1, is_orthographic, is_wrapped, step):
+                top = max(top, max(height[i, j], _height_or_nothing(height, i, j + 1, is_wrapped)))
+            before = (j - 1) % columns
+            if (j > 0 or is_wrapped) and _is_jump(height, i, before, 0, 1, is_orthographic, is_wrapped, step):
+                top = max(top, max(height[i, j], height[i, before]))
+            if i + 1 < rows and _is_jump(height, i, j, 1, 0, is_orthographic, is_wrapped, step):
+                top = max(top, max(height[i, j], height[i + 1, j]))
+            if i > 0 and _is_jump(height, i - 1, j, 1, 0, is_orthographic, is_wrapped, step):
+                top = max(top, max(height[i, j], height[i - 1, j]))
+            broken[i, j] = np.uint8(top != NOTHING)
+            reach[i, j] = k * row_scale[i] * top if top != NOTHING else NOTHING
+
+
+@device_jit
+def _spread_reach(reach, is_wrapped):
+    """reach(x) = max over y of reach(y) - chessboard distance(x, y), in two scans; wrapped views take the scans twice."""
+    rows, columns = reach.shape
+    for i in range(rows):
+        for j in range(columns):
+            best = reach[i, j]
+            for dj in range(-1, 2):
+                c = (j + dj) % columns if is_wrapped else min(max(j + dj, 0), columns - 1)
+                if i > 0:
+                    best = max(best, reach[i - 1, c] - ONE)
+                if dj < 0:
+                    best = max(best, reach[i, c] - ONE)
+            reach[i, j] = best
+    for i in range(rows - 1, -1, -1):
+        for j in range(columns - 1, -1, -1):
+            best = reach[i, j]
+            for dj in range(-1, 2):
+                c = (j + dj) % columns if is_wrapped else min(max(j + dj, 0), columns - 1)
+                if i + 1 < rows:
+                    best = max(best, reach[i + 1, c] - ONE)
+                if dj > 0:
+                    best = max(best, reach[i, c] - ONE)
+            reach[i, j] = best
+
+
+@device_jit
+def _project(m, p):
+    """Column, row (texel centres at +0) and height of p in map m; height NOTHING behind a perspective view."""
+    v = m.view_from_world
+    x = v[0, 0] * p.x + v[0, 1] * p.y + v[0, 2] * p.z + v[0, 3]
+    y = v[1, 0] * p.x + v[1, 1] * p.y + v[1, 2] * p.z + v[1, 3]
+    depth = -(v[2, 0] * p.x + v[2, 1] * p.y + v[2, 2] * p.z + v[2, 3])
+    if m.projection == PERSPECTIVE:
+        if depth <= ZERO:
+            return ZERO, ZERO, NOTHING
+        height = ONE / depth
+        x, y = x * height, y * height
+    elif m.projection == ORTHOGRAPHIC:
+        height = -depth
+    else:
+        distance = math.sqrt(x * x + y * y + depth * depth)
+        if distance <= ZERO:
+            return ZERO, ZERO, NOTHING
+        height = ONE / distance
+        x, y = math.atan2(x, depth), math.asin(max(-ONE, min(ONE, y * height)))
+    return (x - m.left) / m.step_x - f32(0.5), (m.top - y) / m.step_y - f32(0.5), height
+
+
+@device_jit
+def _corner(m, i, j):
+    """Column index of a texel, wrapped in a full equirectangular view; -1 outside the map."""
+    rows, columns = m.height.shape
+    if i < 0 or i >= rows:
+        return -1
+    if m.projection == EQUIRECTANGULAR:
+        return j % columns
+    return j if 0 <= j < columns else -1
+
+
+@device_jit
+def classify(m, p, error):
+    """LIT, DARK or ASK for point p; `error` bounds the distance in m of p from the true surface."""
+    column, row, h = _project(m, p)
+    if h == NOTHING or not (abs(column) < f32(1e6) and abs(row) < f32(1e6)):
+        return ASK
+    i, j = int(math.floor(row)), int(math.floor(column))
+    fx, fy = column - f32(j), row - f32(i)
+    j0, j1 = _corner(m, i, j), _corner(m, i, j + 1)
+    if j0 < 0 or j1 < 0 or i + 1 >= m.height.shape[0]:
+        return ASK
+    a, b, c, d = m.height[i, j0], m.height[i, j1], m.height[i + 1, j0], m.height[i + 1, j1]
+    low, high = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
+    if low == NOTHING or m.broken[i, j0] + m.broken[i, j1] + m.broken[i + 1, j0] + m.broken[i + 1, j1] > 0:
+        return ASK
+    k, foot = m.k, max(m.step_x, m.step_y)
+    if m.projection == EQUIRECTANGULAR:
+        cos_latitude = math.cos(m.top - (f32(i) + f32(0.5)) * m.step_y)
+        if cos_latitude < POLE:
+            return ASK
+        k = k / cos_latitude
+    reach = max(max(m.reach[i, j0], m.reach[i, j1]), max(m.reach[i + 1, j0], m.reach[i + 1, j1]))
+    if reach - k * h + MARGIN_PX > ZERO:
+        return ASK
+    scale = ONE if m.projection == ORTHOGRAPHIC else high
+    slack = QUAD_SHARE * (high - low) + (TOLERANCE_PX * foot + error * scale) * scale
+    shown = (a * (ONE - fx) + b * fx) * (ONE - fy) + (c * (ONE - fx) + d * fx) * fy
+    if abs(h - shown) <= slack:
+        return LIT
+    return DARK if h < low - slack else ASK
+
+
+@device_jit
+def map_visibility(m, p, error):
+    """Share of the four texels around p that do not hide it: what remains where no rays can be traced; 1 off the map."""
+    column, row, h = _project(m, p)
+    if h == NOTHING or not (abs(column) < f32(1e6) and abs(row) < f32(1e6)):
+        return ONE
+    i, j = int(math.floor(row)), int(math.floor(column))
+    fx, fy = column - f32(j), row - f32(i)
+    total, weights = ZERO, ZERO
+    for di in range(2):
+        for dj in range(2):
+            c = _corner(m, i + di, j + dj)
+            if c >= 0:
+                w = (fx if dj else ONE - fx) * (fy if di else ONE - fy)
+                there = m.height[i + di, c]
+                scale = ONE if m.projection == ORTHOGRAPHIC else max(there, h)
+                # a texel of slack on a surface inclined by 45 degrees
+                slack = (max(m.step_x, m.step_y) + error * scale) * scale
+                weights += w
+                total += w if there <= h + slack else ZERO
+    return total / weights if weights > f32(1e-6) else ONE
+
+
+@device_jit
+def find_surface(bvh, stack, p, towards_viewer, span):
+    """(found, point, normal on the viewer's side): the triangle at p, met along the viewer's ray within `span` m of p.
+
+    Positions that come from a depth pass are off by some ulps of the viewer's distance, and shading normals need not be
+    those of the triangle. Shadow rays that start from the triangle itself need only the offset of its own rounding.
+    """
+    t, slot, _, _ = closest_hit(bvh, stack, along(p, towards_viewer, span), scaled(towards_viewer, -span), f32(2))
+    if slot < 0:
+        return False, p, towards_viewer
+    n = triangle_normal(bvh, slot)
+    if dot(n, towards_viewer) < ZERO:
+        n = Vec3(-n.x, -n.y, -n.z)
+    return True, along(p, towards_viewer, span * (ONE - t)), n

@@ -1,0 +1,354 @@
+"""Direct light of lamps: unshadowed light in closed form times visibility from shadow maps and rays.
+
+For each lamp two kernels run. The first computes at every pixel what would arrive with nothing in between, and asks the
+lamp's own view whether anything is (`kernels.shadow`): lit and dark pixels are done. The few left over, along the edges
+of shadows, are put into a list, and the second kernel traces rays from them through the scene's triangles: one ray to a
+lamp without size, else six to its rim and, where those disagree, a stratified set over its shape. The share of the light
+that arrives, in proportion to what each ray would carry, multiplies the closed form, so noise is left in half shadows only.
+
+Deviations from Cycles: materials with transparency cast full shadows; Cycles' push of shadow rays off smooth-shaded,
+coarse meshes ("shadow terminator") is not modelled.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core.frame import Frame, Light, LightKind, LightView
+from ..core.techniques import DirectParams
+from ..core.transforms import Camera, Projection
+from ..kernels import lamps, shadow
+from ..kernels.brdf import lobe_gain, normal_reflectance
+from ..kernels.bvh import STACK, is_occluded
+from ..kernels.jit import device_jit, pixel_jit, prange
+from ..kernels.lamps import Lamp
+from ..kernels.sampling import r2_sequence, uniform
+from ..kernels.vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load, normalized_or, sub
+from .base import Context, PassResult, Technique, Transport
+
+NONE, MAP, RAYS = 0, 1, 2   # how a light's shadows are found
+PILOTS = 6                  # rays to the rim of a lamp that decide whether a pixel lies in half shadow
+BIG_PILOTS = 8              # more of them, inside the shape, for lamps that look large
+BIG = f32(0.1)              # half size over distance from which a lamp looks large
+BLOCK = 32                  # pixels that one thread traces in a row
+TILE_PIXELS = 1 << 17       # pixels between two looks at Esc
+POSITION_ERROR = 2e-6       # of the distance to the viewer and of the coordinates: what a depth pass in float32 leaves
+OFFSET = f32(1.5e-6)        # of the coordinates: rounding of a ray's start on its triangle
+SPAN = f32(1e-4)            # of the viewer's distance: how far from its position a pixel's triangle is looked for
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+_PROJECTIONS = {Projection.PERSPECTIVE: shadow.PERSPECTIVE, Projection.ORTHOGRAPHIC: shadow.ORTHOGRAPHIC,
+                Projection.EQUIRECTANGULAR: shadow.EQUIRECTANGULAR}
+
+
+def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: int = 0) -> PassResult:
+    """Light of all lamps at the camera's pixels.
+
+    Parameters
+    ----------
+    frame : Frame
+        `lights`, with `views` for those that have a map and `geometry` for rays; each may be missing. Without geometry
+        the maps alone decide, and a light without either is not shadowed.
+    params : DirectParams
+    context : Context
+    seed : int
+        Moves the samples in half shadows.
+
+    Returns
+    -------
+    PassResult
+        DIRECT_DIFFUSE irradiance W/m2 and DIRECT_GLOSSY radiance W/(m2 sr) towards the camera, colour included;
+        `visibility` is the share of the unshadowed irradiance's luminance that arrives, 1 where none could.
+        diagnostics: `asked_pixels`, how many pixels were left to rays, by light.
+
+    Notes
+    -----
+    Holds exactly: linear in each light's power; zero for no light; the same bits for any number of threads.
+    """
+    height, width = frame.gbuffer.shape
+    count = height * width
+    pixels, far_m = _pack_pixels(frame)
+    surface = np.flatnonzero(frame.gbuffer.mask)
+    out = _Sums(np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32), np.zeros(count, np.float32),
+                np.zeros(count, np.float32))
+    has_rays = frame.geometry is not None
+    bvh = context.bvh(frame.geometry) if has_rays else None
+    views = {view.light_index: view for view in frame.views}
+    state = np.zeros(count, np.uint8)
+    asked: dict[str, int] = {}
+    tiles = max(1, -(-len(surface) // TILE_PIXELS))
+    for index, light in enumerate(frame.lights):
+        if not np.any(light.power > 0) or (light.diffuse_factor <= 0 and light.glossy_factor <= 0):
+            continue
+        test = _test_of(light, index in views, has_rays, params)
+        shadow_map = pack_shadow_map(views.get(index) if test == MAP else None, light)
+        colours = np.concatenate([light.power * light.diffuse_factor, light.power * light.glossy_factor,
+                                  [LUMINANCE @ light.power]]).astype(np.float32)
+        common = (pack_lamp(light, far_m), colours, pixels, seed * 7919 + index)
+        asked[light.name] = 0
+        for tile in range(tiles):
+            context.checkpoint("Direct light", (index + tile / tiles) / len(frame.lights))
+            part = surface[tile * len(surface) // tiles:(tile + 1) * len(surface) // tiles]
+            _light_pixels(part, *common, shadow_map, test, out, state)
+            left = part[state[part] == shadow.ASK]
+            asked[light.name] += len(left)
+            if has_rays and len(left):
+                _trace_pixels(left, *common, bvh, params.soft_shadow_rays, out)
+            elif len(left):
+                _ask_map(left, *common, shadow_map, out)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        visibility = np.where(out.could > 0, np.clip(out.does / out.could, 0, 1), 1).astype(np.float32)
+    return PassResult({Transport.DIRECT_DIFFUSE: out.diffuse.reshape(height, width, 3),
+                       Transport.DIRECT_GLOSSY: out.glossy.reshape(height, width, 3)},
+                      visibility.reshape(height, width), {"asked_pixels": asked})
+
+
+class _Pixels(NamedTuple):
+    """The camera's pixels as kernels take them: (N, 3) and (N,) float32.
+
+    `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `error` bounds in m how far a position is
+    off its surface; alpha, f0 and gain describe the glossy lobe.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    specular: np.ndarray
+    alpha: np.ndarray
+    f0: np.ndarray
+    gain: np.ndarray
+    error: np.ndarray
+    eye: np.ndarray
+    is_parallel: bool
+
+
+class _Sums(NamedTuple):
+    """What the kernels add to: (N, 3) irradiance and glossy radiance, (N,) luminance that could arrive and that does."""
+
+    diffuse: np.ndarray
+    glossy: np.ndarray
+    could: np.ndarray
+    does: np.ndarray
+
+
+def _pack_pixels(frame: Frame) -> tuple[_Pixels, float]:
+    """The pixels, and a length in m that leads out of the scene from everywhere in it."""
+    g, camera = frame.gbuffer, frame.camera
+    position, normal, specular = (np.ascontiguousarray(a.reshape(-1, 3), np.float32)
+                                  for a in (g.position_ws, g.normal_ws, g.specular))
+    is_parallel = camera.projection is Projection.ORTHOGRAPHIC
+    eye = camera.world_from_view[:3, 2] if is_parallel else camera.position_ws
+    depth = np.where(g.mask, g.depth, 0).ravel()
+    span = np.abs(position).max(-1, initial=0) + np.abs(camera.position_ws).max()
+    error = ((np.abs(depth) + span) * POSITION_ERROR).astype(np.float32)
+    lobes = _lobes(camera, position, normal, specular, g.roughness.ravel())
+    far_m = 4 * (frame.scale_m + float(span.max(initial=0)))
+    return _Pixels(position, normal, specular, *lobes, error, np.float32([eye]), is_parallel), far_m
+
+
+def _test_of(light: Light, has_view: bool, has_rays: bool, params: DirectParams) -> int:
+    """Which shadow test a light's pixels take."""
+    if not light.casts_shadow or not (has_view or has_rays):
+        return NONE
+    return RAYS if has_rays and (params.exact_shadows or not has_view) else MAP
+
+
+def _lobes(camera: Camera, position: np.ndarray, normal: np.ndarray, specular: np.ndarray,
+           roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """GGX alpha, reflectance at normal incidence and gain of every pixel's glossy lobe, (N,) float32 each."""
+    alpha = np.clip(roughness, 0, 1).astype(np.float32) ** 2
+    f0, gain = np.full(len(alpha), 0.04, np.float32), np.ones(len(alpha), np.float32)
+    some = np.flatnonzero(specular.any(-1))
+    if len(some):
+        if camera.projection is Projection.ORTHOGRAPHIC:
+            to_eye = np.broadcast_to(camera.world_from_view[:3, 2], (len(some), 3))
+        else:
+            to_eye = camera.position_ws - position[some]
+        cosine = np.einsum("ij,ij->i", normal[some], to_eye) / np.maximum(np.linalg.norm(to_eye, axis=-1), 1e-20)
+        cosine = np.clip(cosine, 0.0, 1.0).astype(np.float32)
+        f0[some] = normal_reflectance(specular[some].max(-1), cosine, alpha[some])
+        gain[some] = lobe_gain(cosine, alpha[some], f0[some])
+    return alpha, f0, gain
+
+
+def pack_lamp(light: Light, far_m: float) -> Lamp:
+    """`light` as kernels take it; shadow rays towards a sun are `far_m` long."""
+    half_x = half_y = light.radius_m
+    spot_edge = spot_scale = tan_spread = spread_gain = 0.0
+    kind = lamps.SPHERE_LAMP if light.is_sphere else lamps.DISK_LAMP
+    if light.kind is LightKind.SUN:
+        kind, half_x = lamps.SUN_LAMP, math.tan(min(light.angle_rad, math.pi - 0.02) / 2)
+        half_y = half_x
+    elif light.kind.is_area:
+        kind = lamps.RECTANGLE_LAMP if light.kind is LightKind.RECTANGLE else lamps.ELLIPSE_LAMP
+        half_x, half_y = light.size_x_m / 2, light.size_y_m / 2
+        if light.spread_rad < math.pi - 1e-4:
+            half = max(light.spread_rad / 2, math.radians(0.5))
+            tan_spread, spread_gain = math.tan(half), 1 / (math.tan(half) - half)
+    elif light.kind is LightKind.SPOT:
+        spot_edge = math.cos(light.spot_size_rad / 2)
+        spot_scale = 1 / max((1 - spot_edge) * light.spot_blend, 1e-6)
+    places = np.stack([light.position_ws, light.direction_ws, *light.world_from_light[:3, :2].T]).astype(np.float32)
+    numbers = (f32(x) for x in (half_x, half_y, spot_edge, spot_scale, tan_spread, spread_gain, far_m))
+    return Lamp(kind, places, *numbers)
+
+
+def pack_shadow_map(view: LightView | None, light: Light) -> shadow.ShadowMap:
+    """The map of `view`; one that never answers for None."""
+    if view is None:
+        return shadow.no_shadow_map()
+    source = light.radius_m
+    if light.kind is LightKind.SUN:
+        source = math.tan(min(light.angle_rad, math.pi - 0.02) / 2)
+    elif light.kind.is_area:
+        source = math.hypot(light.size_x_m, light.size_y_m) / 2
+    camera = view.camera
+    return shadow.build_shadow_map(_PROJECTIONS[camera.projection], camera.view_from_world, camera.left, camera.top,
+                                   *camera.pixel_size, view.gbuffer.depth, source)
+
+
+@device_jit
+def _viewer(pixels, p):
+    """(unit vector from p to the viewer, its length in m or 0)."""
+    if pixels.is_parallel:
+        return load(pixels.eye, 0), ZERO
+    to = sub(load(pixels.eye, 0), p)
+    return normalized_or(to, Vec3(ZERO, ZERO, ONE)), length(to)
+
+
+@device_jit
+def _arriving(q, lamp, pixels, p, n, viewer, salt):
+    """Unshadowed (irradiance, glossy radiance before colour) of unit strength at pixel q."""
+    is_glossy = pixels.specular[q, 0] + pixels.specular[q, 1] + pixels.specular[q, 2] > ZERO
+    diffuse, lobe = lamps.unshadowed(lamp, p, n, viewer, pixels.alpha[q], pixels.f0[q], is_glossy, uniform(q, 0, salt),
+                                     uniform(q, 1, salt))
+    return diffuse, lobe * pixels.gain[q]
+
+
+@device_jit
+def _add(q, diffuse, glossy, colours, pixels, out):
+    for c in range(3):
+        out.diffuse[q, c] += colours[c] * diffuse
+        out.glossy[q, c] += colours[3 + c] * pixels.specular[q, c] * glossy
+    out.does[q] += colours[6] * diffuse
+
+
+@pixel_jit
+def _light_pixels(index, lamp, colours, pixels, salt, shadow_map, test, out, state):
+    """Add the unshadowed light where nothing stands between; `state` tells which pixels that is not known of."""
+    for k in prange(len(index)):
+        q = index[k]
+        p, n = load(pixels.position, q), load(pixels.normal, q)
+        viewer, _ = _viewer(pixels, p)
+        diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
+        state[q] = shadow.DARK
+        if diffuse > ZERO or glossy > ZERO:
+            out.could[q] += colours[6] * diffuse
+            answer = shadow.LIT if test == NONE else shadow.ASK
+            if test == MAP:
+                answer = shadow.classify(shadow_map, p, pixels.error[q])
+            state[q] = answer
+            if answer == shadow.LIT:
+                _add(q, diffuse, glossy, colours, pixels, out)
+
+
+@device_jit
+def _ray_start(bvh, stack, p, n, viewer, distance, error):
+    """(start of shadow rays, geometric normal on the viewer's side)."""
+    span = max(SPAN * distance, f32(16) * error)
+    found, o, side = shadow.find_surface(bvh, stack, p, viewer, span)
+    if not found:
+        return along(p, n, f32(2) * error), n
+    size = max(abs(o.x), max(abs(o.y), abs(o.z)))
+    return along(o, side, OFFSET * size + f32(0.05) * error), side
+
+
+@device_jit
+def _is_seen(bvh, stack, start, side, p, d):
+    """Does the vector d from p to a lamp arrive? A lamp behind the triangle's own plane is hidden by it."""
+    if dot(side, d) <= ZERO:
+        return False
+    target = Vec3(p.x + d.x - start.x, p.y + d.y - start.y, p.z + d.z - start.z)
+    return not is_occluded(bvh, stack, start, target)
+
+
+@device_jit
+def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, shift_u, shift_v):
+    """(share of the irradiance, share of the glossy light) that arrives at p."""
+    size = lamp.half_x if lamp.kind == lamps.SUN_LAMP else max(lamp.half_x, lamp.half_y) / max(
+        length(sub(load(lamp.places, lamps.POSITION), p)), f32(1e-20))
+    if size == ZERO:
+        d, _ = lamps.lamp_at(lamp, p, ZERO, ZERO)
+        seen = ONE if _is_seen(bvh, stack, start, side, p, d) else ZERO
+        return seen, seen
+    count = 0
+    for i in range(PILOTS):
+        x, y = lamps.rim_point(lamp, i, shift_u)
+        d, _ = lamps.lamp_at(lamp, p, x, y)
+        if _is_seen(bvh, stack, start, side, p, d):
+            count += 1
+        if 0 < count <= i:
+            break
+    pilots = PILOTS
+    if size > BIG and (count == 0 or count == pilots):
+        for i in range(BIG_PILOTS):
+            u, v = r2_sequence(i, shift_v, shift_u)
+            d, _ = lamps.lamp_sample(lamp, p, u, v)
+            if _is_seen(bvh, stack, start, side, p, d):
+                count += 1
+        pilots += BIG_PILOTS
+    if count == 0:
+        return ZERO, ZERO
+    if count == pilots:
+        return ONE, ONE
+    widened = max(max(alpha, f32(0.3) * min(size, ONE)), lamps.LEAST_ALPHA)
+    diffuse_all, diffuse_seen, glossy_all, glossy_seen = ZERO, ZERO, ZERO, ZERO
+    for i in range(rays):
+        u, v = r2_sequence(i, shift_u, shift_v)
+        d, weight = lamps.lamp_sample(lamp, p, u, v)
+        unit = normalized_or(d, n)
+        diffuse = weight * max(dot(n, unit), ZERO)
+        if diffuse > ZERO:
+            glossy = weight * lamps.ggx_lobe(n, viewer, unit, widened * widened, f0)
+            diffuse_all += diffuse
+            glossy_all += glossy
+            if _is_seen(bvh, stack, start, side, p, d):
+                diffuse_seen += diffuse
+                glossy_seen += glossy
+    share = diffuse_seen / diffuse_all if diffuse_all > ZERO else ZERO
+    return share, (glossy_seen / glossy_all if glossy_all > ZERO else share)
+
+
+@pixel_jit
+def _trace_pixels(index, lamp, colours, pixels, salt, bvh, rays, out):
+    """Add the light that rays find at the pixels of `index`."""
+    blocks = (len(index) + BLOCK - 1) // BLOCK
+    for block in prange(blocks):
+        stack = np.empty(STACK, np.int32)
+        for k in range(block * BLOCK, min((block + 1) * BLOCK, len(index))):
+            q = index[k]
+            p, n = load(pixels.position, q), load(pixels.normal, q)
+            viewer, distance = _viewer(pixels, p)
+            diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
+            start, side = _ray_start(bvh, stack, p, n, viewer, distance, pixels.error[q])
+            share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, pixels.alpha[q], pixels.f0[q],
+                                               rays, uniform(q, 2, salt), uniform(q, 3, salt))
+            _add(q, diffuse * share, glossy * glossy_share, colours, pixels, out)
+
+
+@pixel_jit
+def _ask_map(index, lamp, colours, pixels, salt, shadow_map, out):
+    """Add the light of the pixels of `index` by the map's own four texels: what is left where no rays can be traced."""
+    for k in prange(len(index)):
+        q = index[k]
+        p, n = load(pixels.position, q), load(pixels.normal, q)
+        viewer, _ = _viewer(pixels, p)
+        diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
+        share = shadow.map_visibility(shadow_map, p, pixels.error[q])
+        _add(q, diffuse * share, glossy * share, colours, pixels, out)
+
+
+TECHNIQUE = Technique("direct", "Direct light", DirectParams, compute_direct,
+                      frozenset({Transport.DIRECT_DIFFUSE, Transport.DIRECT_GLOSSY}), needs_geometry=True, needs_views=True)
