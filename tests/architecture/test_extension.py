@@ -1,0 +1,82 @@
+"""The extension: its manifest passes Blender's own validator, and its zip holds the add-on and nothing else."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+import zipfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+import rtgi_addon
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+ALLOWED_AT_ROOT = {"__init__.py", "blender_manifest.toml", "CHANGELOG.md", "LICENSE", "README.md"}
+
+
+def extension_tool(*words: str) -> subprocess.CompletedProcess:
+    """Blender's extension command line, which lies in the bpy wheel as plain Python."""
+    (tool,) = Path(find_spec("bpy").origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")
+    return subprocess.run([sys.executable, str(tool), *words], capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    """The zip as `blender --command extension build` makes it from the checkout."""
+    path = tmp_path_factory.mktemp("extension") / "rtgi.zip"
+    run = extension_tool("build", "--source-dir", str(ROOT), "--output-filepath", str(path))
+    assert run.returncode == 0, run.stdout + run.stderr
+    return zipfile.ZipFile(path)
+
+
+def manifest() -> dict:
+    return tomllib.loads((ROOT / "blender_manifest.toml").read_text())
+
+
+def test_validator_accepts_the_checkout():
+    run = extension_tool("validate", str(ROOT))
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_validator_accepts_the_zip(archive):
+    run = extension_tool("validate", archive.filename)
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_validator_is_not_silent_about_a_broken_manifest(tmp_path):
+    text = (ROOT / "blender_manifest.toml").read_text().replace('tagline = "', 'tagline = "Ends with a full stop. ', 1)
+    (tmp_path / "blender_manifest.toml").write_text(text.replace("against Cycles", "against Cycles."))
+    (tmp_path / "__init__.py").write_text("")
+    assert extension_tool("validate", str(tmp_path)).returncode != 0
+
+
+def test_zip_holds_every_module_of_the_add_on(archive):
+    wanted = {str(p.relative_to(ROOT)) for p in (ROOT / "rtgi_addon").rglob("*.py")}
+    assert wanted - set(archive.namelist()) == set()
+
+
+def test_zip_holds_nothing_but_the_add_on(archive):
+    strangers = {n for n in archive.namelist()
+                 if not n.endswith("/") and n not in ALLOWED_AT_ROOT and not n.startswith("rtgi_addon/")}
+    assert strangers == set()
+
+
+def test_zip_holds_no_leftovers_of_python(archive):
+    assert [n for n in archive.namelist() if "__pycache__" in n or n.endswith((".pyc", ".nbi", ".nbc"))] == []
+
+
+def test_manifest_and_package_name_one_version():
+    assert manifest()["version"] == rtgi_addon.__version__
+
+
+def test_changelog_begins_with_this_version():
+    lines = (ROOT / "CHANGELOG.md").read_text().splitlines()
+    assert next(line for line in lines if line.startswith("## ")).split()[1] == rtgi_addon.__version__
+
+
+def test_source_manifest_lists_no_wheels():
+    # a manifest that lists them cannot be built from a bare checkout; the release script adds them
+    assert "wheels" not in manifest()
