@@ -33,9 +33,10 @@ LEAST_ALPHA = f32(0.006)    # sharper lobes are below float32's resolution of th
 class Lamp(NamedTuple):
     """A lamp as kernels take it; lengths in m, vectors unit.
 
-    places: (4, 3) float32, rows POSITION, DIRECTION (along which it shines), AXIS_X, AXIS_Y. half_x, half_y: half sizes (a radius for points and spots, the tangent of half the angle for a sun); spot_edge,
-    spot_scale: cosine where a spot's cone ends and 1 / (its soft edge); without a cone spot_scale is 0. tan_spread and
-    spread_gain: see `radiometry.spread_factor`; spread_gain is 0 for a Lambertian light.
+    places: (4, 3) float32, rows POSITION, DIRECTION (along which it shines), AXIS_X, AXIS_Y. half_x, half_y: half sizes (a
+    radius for points and spots, the tangent of half the angle for a sun). spot_edge, spot_scale: cosine where a spot's
+    cone ends and 1 / (its soft edge); without a cone spot_scale is 0. tan_spread and spread_gain: see
+    `radiometry.spread_factor`; spread_gain is 0 for a Lambertian light.
     """
 
     kind: int
@@ -82,7 +83,8 @@ def lamp_at(lamp, p, x, y):
     """(vector from p to the lamp's point (x, y), weight): (x, y) in the unit disk, or in [-1, 1]^2 for a rectangle."""
     to = sub(load(lamp.places, POSITION), p)
     if lamp.kind == SUN_LAMP:
-        d = _plus(scaled(load(lamp.places, DIRECTION), -ONE), load(lamp.places, AXIS_X), x * lamp.half_x, load(lamp.places, AXIS_Y), y * lamp.half_x)
+        towards = scaled(load(lamp.places, DIRECTION), -ONE)
+        d = _plus(towards, load(lamp.places, AXIS_X), x * lamp.half_x, load(lamp.places, AXIS_Y), y * lamp.half_x)
         return scaled(d, lamp.far), ONE
     if lamp.kind >= RECTANGLE_LAMP:
         area = f32(4) * lamp.half_x * lamp.half_y * (ONE if lamp.kind == RECTANGLE_LAMP else f32(math.pi / 4))
@@ -168,12 +170,13 @@ def _polygon_irradiance(lamp, p, n):
     total = ZERO
     leaving, entering, is_cut = to, to, False
     turn = f32(2 * math.pi) / f32(sides)
-    wide_x, wide_y = lamp.half_x * wide, lamp.half_y * wide
-    a = _plus(to, load(lamp.places, AXIS_X), wide_x * math.cos(HALF * turn), load(lamp.places, AXIS_Y), wide_y * math.sin(HALF * turn))
+    axis_x = scaled(load(lamp.places, AXIS_X), lamp.half_x * wide)
+    axis_y = scaled(load(lamp.places, AXIS_Y), lamp.half_y * wide)
+    a = _plus(to, axis_x, math.cos(HALF * turn), axis_y, math.sin(HALF * turn))
     height_a = dot(a, n)
     for i in range(sides):
         angle = (f32(i) + f32(1.5)) * turn
-        b = _plus(to, load(lamp.places, AXIS_X), wide_x * math.cos(angle), load(lamp.places, AXIS_Y), wide_y * math.sin(angle))
+        b = _plus(to, axis_x, math.cos(angle), axis_y, math.sin(angle))
         height_b = dot(b, n)
         start, end = a, b
         if (height_a > ZERO) != (height_b > ZERO):
@@ -190,6 +193,14 @@ def _polygon_irradiance(lamp, p, n):
     if is_cut:
         total += _arc(leaving, entering, n)
     return HALF * abs(total)
+
+
+@device_jit
+def _part_above(height, size):
+    """Mean of max(height + size x, 0) over the unit disk for |height| <= size: a lamp that sets behind the surface."""
+    a = height / size
+    root = math.sqrt(max(ONE - a * a, ZERO))
+    return size * (a * (PI - math.acos(a)) + root * (f32(2) + a * a) / f32(3)) / PI
 
 
 @device_jit
@@ -211,7 +222,11 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
     size = max(lamp.half_x, lamp.half_y) if lamp.kind != SUN_LAMP else lamp.half_x
     if lamp.kind != SUN_LAMP:
         size /= max(length(to), f32(1e-20))
-    if lamp.spread_gain > ZERO or (is_area and size > NEAR):
+    axis = normalized_or(to, n) if lamp.kind != SUN_LAMP else scaled(load(lamp.places, DIRECTION), -ONE)
+    height = dot(n, axis)
+    if height < -size and not is_area:
+        return ZERO, ZERO
+    if lamp.spread_gain > ZERO or (is_area and (size > NEAR or abs(height) < f32(2) * size)):
         widened = max(alpha, f32(0.12) * min(size, ONE))
         is_closed = lamp.spread_gain == ZERO
         if is_closed:
@@ -232,11 +247,15 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
             widened = max(max(alpha, HALF * size), LEAST_ALPHA)
             glossy = _glossy_at(n, viewer, d, weight, widened * widened, f0)
         return diffuse, glossy
+    carried = ZERO
     node = GAUSS if lamp.kind == RECTANGLE_LAMP else HALF
     widened = max(max(alpha, f32(0.25) * size), LEAST_ALPHA)
     for i in range(4):
         d, weight = lamp_at(lamp, p, node if i & 1 else -node, node if i & 2 else -node)
+        carried += weight * f32(0.25)
         diffuse += weight * max(dot(n, normalized_or(d, n)), ZERO) * f32(0.25)
         if is_glossy and weight > ZERO:
             glossy += _glossy_at(n, viewer, d, weight, widened * widened, f0) * f32(0.25)
+    if abs(height) < size and not is_area:
+        diffuse = carried * _part_above(height, size)
     return diffuse, glossy

@@ -109,8 +109,8 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
 class _Pixels(NamedTuple):
     """The camera's pixels as kernels take them: (N, 3) and (N,) float32.
 
-    `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `error` bounds in m how far a position is
-    off its surface; alpha, f0 and gain describe the glossy lobe.
+    `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `error` bounds in m how far a position
+    is off its surface; alpha, f0 and gain describe the glossy lobe.
     """
 
     position: np.ndarray
