@@ -1,0 +1,298 @@
+"""World triangles of the evaluated scene, with albedo at the corners and emission.
+
+Positions are read anew each frame. Colours depend on texture coordinates and materials and not on positions, so
+`GeometryCache` keeps them between frames under a checksum of exactly these.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from ..core.frame import Geometry
+from .images import ImageCache
+from .materials import SURFACE_TYPES, MaterialTable, SurfaceReader
+
+_KINDS = {"FLOAT": ("value", 1), "INT": ("value", 1), "BOOLEAN": ("value", 1), "FLOAT_VECTOR": ("vector", 3),
+          "FLOAT2": ("vector", 2), "FLOAT_COLOR": ("color", 4), "BYTE_COLOR": ("color", 4)}
+_INVISIBLE_ALPHA = 1 / 512    # a surface that lets more than this much less through is not worth a triangle
+
+
+@dataclass
+class _Topology:
+    """Triangles of a mesh: `loops` (T, 3) and `faces` (T,), None where both count up (all faces are triangles)."""
+
+    loops: np.ndarray | None
+    faces: np.ndarray | None
+
+
+@dataclass
+class _Colours:
+    """What a mesh's triangles look like: `keep` (T,) bool or None for all; the others as in Geometry, without the left out."""
+
+    albedo: np.ndarray
+    emission: np.ndarray
+    material: np.ndarray
+    keep: np.ndarray | None
+
+
+@dataclass
+class GeometryCache:
+    """What stays between frames. One engine keeps one; everything not used in a frame is dropped at its end."""
+
+    images: ImageCache = field(default_factory=ImageCache)
+    topologies: dict[tuple, _Topology] = field(default_factory=dict)
+    colours: dict[tuple, _Colours] = field(default_factory=dict)
+
+
+def _values(mesh: bpy.types.Mesh, name: str, prop: str, width: int, dtype: type) -> np.ndarray | None:
+    """(n, width) of an attribute, straight from its memory; None where the mesh has none."""
+    attribute = mesh.attributes.get(name)
+    if attribute is None:
+        return None
+    out = np.empty(len(attribute.data) * width, dtype)
+    attribute.data.foreach_get(prop, out)
+    return out.reshape(-1, width)
+
+
+class _Mesh:
+    """One evaluated mesh: its arrays as they are asked for, and three points inside each triangle for shading.
+
+    The points lie halfway between the corners and the middle, so that a texel belongs to the triangle that shows it.
+    """
+
+    def __init__(self, mesh: bpy.types.Mesh, cache: dict[tuple, _Topology], kept: dict[tuple, _Topology]):
+        self.mesh = mesh
+        self.positions = _values(mesh, "position", "vector", 3, np.float32)
+        corners = _values(mesh, ".corner_vert", "value", 1, np.int32)
+        self.corners = np.zeros(0, np.int32) if corners is None else corners[:, 0]
+        self.topology = self._topology(cache, kept)
+        self.chosen: np.ndarray | None = None
+        self._layers: dict[tuple[str, str], np.ndarray | None] = {}
+
+    def _topology(self, cache: dict[tuple, _Topology], kept: dict[tuple, _Topology]) -> _Topology:
+        faces, loops = len(self.mesh.polygons), len(self.corners)
+        if loops == 3 * faces:
+            return _Topology(None, None)
+        # which diagonal cuts a quad depends on the positions
+        key = (faces, loops, zlib.crc32(self.positions), zlib.crc32(self.corners))
+        found = kept.get(key) or cache.get(key)
+        if found is None:
+            triangles = self.mesh.loop_triangles
+            found = _Topology(np.empty(3 * len(triangles), np.int32), np.empty(len(triangles), np.int32))
+            triangles.foreach_get("loops", found.loops)
+            triangles.foreach_get("polygon_index", found.faces)
+        kept[key] = found
+        return found
+
+    def __len__(self) -> int:
+        return len(self.corners) // 3 if self.topology.loops is None else len(self.topology.faces)
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(T, 3) int32 vertex of each corner."""
+        loops = self.topology.loops
+        return (self.corners if loops is None else self.corners[loops]).reshape(-1, 3)
+
+    def slots(self) -> np.ndarray | None:
+        """(T,) int32 slot of each triangle; None where all faces are in the first."""
+        index = _values(self.mesh, "material_index", "value", 1, np.int32)
+        if index is None or not index.any():
+            return None
+        return index[:, 0] if self.topology.faces is None else index[self.topology.faces, 0]
+
+    def layer_name(self, kind: str, name: str) -> str | None:
+        """The attribute that a node's layer name means, "" being the one that renders."""
+        if name:
+            return name
+        layers = self.mesh.uv_layers if kind == "uv" else self.mesh.color_attributes
+        if kind == "uv":
+            return next((layer.name for layer in layers if layer.active_render), None)
+        k = layers.render_color_index
+        return layers[k].name if 0 <= k < len(layers) else None
+
+    def layer(self, kind: str, name: str) -> np.ndarray | None:
+        """(3 T, 4) float32 of a layer at the corners, missing channels 0 and alpha 1; None where there is none."""
+        key = (kind, name)
+        if key not in self._layers:
+            self._layers[key] = self._read_layer(kind, name)
+        return self._layers[key]
+
+    def _read_layer(self, kind: str, name: str) -> np.ndarray | None:
+        raw = self.raw_layer(kind, name)
+        if raw is None:
+            return None
+        values, domain = raw
+        if domain == "POINT":
+            values = values[self.vertices.ravel()]
+        elif domain == "FACE":
+            faces = self.topology.faces
+            values = np.repeat(values if faces is None else values[faces], 3, axis=0)
+        elif self.topology.loops is not None:
+            values = values[self.topology.loops]
+        out = np.zeros((len(values), 4), np.float32)
+        out[:, 3] = 1
+        if values.shape[1] == 1:
+            out[:, :3] = values
+        else:
+            out[:, :values.shape[1]] = values
+        return out
+
+    def raw_layer(self, kind: str, name: str) -> tuple[np.ndarray, str] | None:
+        """Values of a layer as stored, and their domain; None where the mesh has none that fits."""
+        name = self.layer_name(kind, name)
+        attribute = self.mesh.attributes.get(name) if name else None
+        if attribute is None or attribute.data_type not in _KINDS or attribute.domain not in {"POINT", "CORNER", "FACE"}:
+            return None
+        prop, width = _KINDS[attribute.data_type]
+        dtype = {"INT": np.int32, "BOOLEAN": bool}.get(attribute.data_type, np.float32)
+        return _values(self.mesh, name, prop, width, dtype), attribute.domain
+
+    def checksum(self, needs: frozenset) -> tuple:
+        """Changes with the point data in `needs` and the triangles they lie on."""
+        if not needs:
+            return ()
+        topology = self.topology.loops
+        sums: list = [len(self), 0 if topology is None else zlib.crc32(topology)]
+        for kind, name in sorted(needs):
+            raw = self.raw_layer(kind, name)
+            sums.append((kind, name) if raw is None else (kind, name, raw[1], raw[0].dtype.str, zlib.crc32(raw[0])))
+            if raw is not None and raw[1] == "POINT":
+                sums.append(zlib.crc32(self.corners))
+        return tuple(sums)
+
+    # nodes.Points, on the chosen triangles
+
+    def _inside(self, kind: str, name: str) -> np.ndarray | None:
+        values = self.layer(kind, name)
+        if values is None:
+            return None
+        values = values.reshape(-1, 3, 4)
+        values = values if self.chosen is None else values[self.chosen]
+        return ((values + values.mean(1, keepdims=True)) / 2).reshape(-1, 4)
+
+    def uv(self, name: str) -> np.ndarray | None:
+        values = self._inside("uv", name)
+        return None if values is None else values[:, :3]
+
+    def attribute(self, name: str) -> np.ndarray | None:
+        return self._inside("attribute", name)
+
+
+def _to_corners(inside: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) values at the corners of the linear function with the values `inside`; the triangle's mean stays."""
+    return 2 * inside - inside.mean(1, keepdims=True)
+
+
+def _shade(mesh: _Mesh, slot_materials: tuple[int, ...], table: MaterialTable, images: ImageCache) -> _Colours:
+    """Colours of a mesh whose slots hold the table's materials `slot_materials`."""
+    slots, count = mesh.slots(), len(mesh)
+    order = np.array(slot_materials, np.int32)
+    # a face beyond the slots shows the last of them, as in Blender
+    material = (np.full(count, order[0], np.int32) if slots is None else order[np.clip(slots, 0, len(order) - 1)])
+    albedo, emission = np.empty((count, 3, 3), np.float32), np.empty((count, 3), np.float32)
+    keep = np.ones(count, bool)
+    for k in np.unique(material):
+        constants = table.materials[k]
+        chosen = np.nonzero(material == k)[0]
+        whole = len(chosen) == count
+        where = slice(None) if whole else chosen
+        if constants.alpha < _INVISIBLE_ALPHA and not max(constants.emission) > 0:
+            keep[where] = False
+        if not table.needs[k]:
+            albedo[where], emission[where] = constants.albedo, constants.emission
+            continue
+        mesh.chosen = None if whole else chosen
+        surface = SurfaceReader(images, mesh).material(table.evaluated[k])
+        inside = np.broadcast_to(surface.diffuse, (3 * len(chosen), 3)).reshape(-1, 3, 3)
+        albedo[where] = np.clip(_to_corners(inside), 0, 1)
+        emission[where] = np.maximum(np.broadcast_to(surface.emission, (3 * len(chosen), 3)).reshape(-1, 3, 3).mean(1), 0)
+    if keep.all():
+        return _Colours(albedo, emission, material, None)
+    return _Colours(albedo[keep], emission[keep], material[keep], keep)
+
+
+@dataclass
+class _Part:
+    """One mesh with the materials of one object: vertices in object space, triangles, colours."""
+
+    positions: np.ndarray
+    vertices: np.ndarray
+    colours: _Colours
+
+
+def _is_met_by_rays(source: bpy.types.Object) -> bool:
+    return source.visible_diffuse or source.visible_shadow or source.visible_glossy
+
+
+def _read_part(source: bpy.types.Object, table: MaterialTable, cache: GeometryCache, kept: GeometryCache) -> _Part | None:
+    """The triangles of an evaluated object; None where it has none."""
+    is_mesh = source.type == "MESH"
+    data = source.data if is_mesh else source.to_mesh()
+    try:
+        if data is None or not len(data.polygons):
+            return None
+        mesh = _Mesh(data, cache.topologies, kept.topologies)
+        slots = tuple(table.of(slot.material) for slot in source.material_slots) or (0,)
+        needs = frozenset().union(*(table.needs[k] for k in slots))
+        index = mesh.slots()
+        key = (len(mesh), slots, tuple(table.traces[k] for k in slots), tuple(table.materials[k].name for k in slots),
+               0 if index is None else zlib.crc32(np.ascontiguousarray(index)), mesh.checksum(needs))
+        colours = kept.colours.get(key) or cache.colours.get(key)
+        if colours is None:
+            colours = _shade(mesh, slots, table, cache.images)
+        kept.colours[key] = colours
+        if source.is_holdout:
+            colours = _Colours(np.zeros_like(colours.albedo), np.zeros_like(colours.emission), colours.material, colours.keep)
+        vertices = mesh.vertices if colours.keep is None else mesh.vertices[colours.keep]
+        return _Part(mesh.positions, vertices, colours)
+    finally:
+        if not is_mesh:
+            source.to_mesh_clear()
+
+
+def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_ws: np.ndarray,
+                  cache: GeometryCache | None = None) -> Geometry:
+    """Triangles of everything in the evaluated scene that rays can meet, instances included.
+
+    Parameters
+    ----------
+    table : MaterialTable
+        Of the same depsgraph.
+    origin_ws : (3,) float64 m
+        Taken off every position in float64, before rounding to float32.
+    cache : GeometryCache or None
+        Pass the same one in each frame; textures are then sampled only where something changed.
+
+    Left out are objects that no diffuse, glossy or shadow ray can meet, and surfaces that are fully transparent. The share
+    of a surface that is transparent counts as black in its albedo. NaN coordinates are handed on.
+    """
+    cache = GeometryCache() if cache is None else cache
+    kept = GeometryCache()
+    origin_ws = np.asarray(origin_ws, np.float64)
+    parts: dict[tuple, _Part | None] = {}
+    corners, albedo, emission, material = [], [], [], []
+    for instance in depsgraph.object_instances:
+        source = instance.object
+        if source.type not in SURFACE_TYPES or not instance.show_self or not _is_met_by_rays(source):
+            continue
+        matrix = np.array(instance.matrix_world, np.float64)
+        # the data alone does not tell which modifiers and slots an object adds to it; an instance's object is a passing copy
+        key = (source.original.as_pointer(), source.data.as_pointer())
+        if key not in parts:
+            parts[key] = _read_part(source, table, cache, kept)
+        part = parts[key]
+        if part is None or not len(part.vertices):
+            continue
+        placed = part.positions @ matrix[:3, :3].T + (matrix[:3, 3] - origin_ws)
+        corners.append(placed.astype(np.float32)[part.vertices])
+        albedo.append(part.colours.albedo)
+        emission.append(part.colours.emission)
+        material.append(part.colours.material)
+    cache.topologies, cache.colours = kept.topologies, kept.colours
+    if not corners:
+        return Geometry.empty()
+    return Geometry(*(np.concatenate(arrays) for arrays in (corners, albedo, emission, material)))

@@ -1,0 +1,314 @@
+"""Materials of the evaluated scene to `core.frame.Material`, and their surface closures at any surface point.
+
+Only evaluated copies are read, and one field of them is written: `number_materials` sets their pass index, by which the
+"Material Index" pass tells the material of each pixel. The user's own materials are never touched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from ..core.frame import Material
+from .images import ImageCache
+from .nodes import NodeReader, Points, node_tree, normal_reflectance
+
+SURFACE_TYPES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
+
+# how each thing that is not modelled shows up; the datablock's name goes in front
+_NOT_MODELLED = {
+    "volume": "its volume is left out",
+    "subsurface": "subsurface scattering is rendered as plain diffuse reflection",
+    "refraction": "light is not refracted or let through; the surface is opaque to light that bounces",
+    "translucency": "light from behind is not let through; the surface reflects it as if lit from the front",
+    "displacement": "displacement shows in the picture, but shadows and bounces meet the undisplaced surface",
+    "portal": "ray portals are left out",
+}
+
+
+@dataclass
+class Surface:
+    """The closures of a surface, each array float32 (n, 3) or (n, 1) with n = 1 or the number of points.
+
+    `transparent` is what passes straight through; `rough_specular` is the roughness weighted by the specular mean, so
+    that all fields mix linearly.
+    """
+
+    diffuse: np.ndarray
+    specular: np.ndarray
+    rough_specular: np.ndarray
+    emission: np.ndarray
+    transparent: np.ndarray
+
+    @staticmethod
+    def of(diffuse=0.0, specular=0.0, roughness=1.0, emission=0.0, transparent=0.0) -> "Surface":
+        """From scalars or arrays that broadcast to (n, 3); `roughness` to (n, 1)."""
+        wide = [np.broadcast_to(np.asarray(a, np.float32), (np.shape(a)[0] if np.ndim(a) else 1, 3))
+                for a in (diffuse, specular, emission, transparent)]
+        rough = np.asarray(roughness, np.float32) * wide[1].mean(1, keepdims=True)
+        return Surface(wide[0], wide[1], rough, wide[2], wide[3])
+
+    def __mul__(self, weight: np.ndarray) -> "Surface":
+        return Surface(self.diffuse * weight, self.specular * weight, self.rough_specular * weight, self.emission * weight,
+                       self.transparent * weight)
+
+    def __add__(self, other: "Surface") -> "Surface":
+        return Surface(self.diffuse + other.diffuse, self.specular + other.specular,
+                       self.rough_specular + other.rough_specular, self.emission + other.emission,
+                       self.transparent + other.transparent)
+
+    @property
+    def roughness(self) -> np.ndarray:
+        """(n, 1) mean over the lobes; 1 without any."""
+        weight = self.specular.mean(1, keepdims=True)
+        return np.where(weight > 1e-6, self.rough_specular / np.maximum(weight, 1e-6), 1.0)
+
+
+class SurfaceReader:
+    """Reads the closures of one material, with `values` for what feeds them; `found` names what is not modelled."""
+
+    def __init__(self, images: ImageCache, points: Points | None = None):
+        self.values = NodeReader(images, points)
+        self.found: set[str] = set()
+
+    def material(self, material: bpy.types.Material | None) -> Surface:
+        """The surface of an evaluated material; None gives what Cycles puts on an empty slot."""
+        if material is None:
+            return Surface.of(diffuse=0.8)
+        tree = node_tree(material)
+        if tree is None:
+            self.values.trace.append(tuple(material.diffuse_color[:3]))
+            return Surface.of(diffuse=np.array([material.diffuse_color[:3]]))
+        output = tree.get_output_node("CYCLES")
+        if output is None:
+            return Surface.of()
+        inputs = {socket.identifier: socket for socket in output.inputs}
+        if inputs["Volume"].is_linked:
+            self.found.add("volume")
+        if inputs["Displacement"].is_linked and material.displacement_method != "BUMP":
+            self.found.add("displacement")
+        return self._closure(inputs["Surface"])
+
+    def _closure(self, socket: bpy.types.NodeSocket) -> Surface:
+        surface = self.values.follow(socket, self._output)
+        return Surface.of() if surface is None else surface
+
+    def _output(self, output: bpy.types.NodeSocket) -> Surface:
+        node = output.node
+        self.values.trace.append((node.type, output.identifier))
+        read = getattr(self, "node_" + node.type.lower(), None)
+        if read is None:
+            # an unknown closure reflects what its colour says
+            socket = self.values.socket(node, "Color") or self.values.socket(node, "Base Color")
+            return Surface.of() if socket is None else Surface.of(diffuse=np.clip(self.values.colour(node, socket.identifier), 0, 1))
+        return read(node)
+
+    def _albedo(self, node: bpy.types.Node, name: str = "Color") -> np.ndarray:
+        return np.clip(self.values.colour(node, name), 0, 1)
+
+    # one method for each node type
+
+    def node_mix_shader(self, node):
+        share = np.clip(self.values.scalar(node, "Fac"), 0, 1)
+        first, second = (self.values.socket(node, name) for name in ("Shader", "Shader_001"))
+        if share.max() <= 0:
+            return self._closure(first)
+        if share.min() >= 1:
+            return self._closure(second)
+        return self._closure(first) * (1 - share) + self._closure(second) * share
+
+    def node_add_shader(self, node):
+        return self._closure(self.values.socket(node, "Shader")) + self._closure(self.values.socket(node, "Shader_001"))
+
+    def node_emission(self, node):
+        return Surface.of(emission=self.values.colour(node, "Color") * self.values.scalar(node, "Strength"))
+
+    node_background = node_emission
+
+    def node_bsdf_diffuse(self, node):
+        return Surface.of(diffuse=self._albedo(node))
+
+    node_bsdf_toon = node_bsdf_sheen = node_bsdf_diffuse
+
+    def node_bsdf_glossy(self, node):
+        return Surface.of(specular=self._albedo(node), roughness=self.values.scalar(node, "Roughness"))
+
+    def node_bsdf_metallic(self, node):
+        return Surface.of(specular=self._albedo(node, "Base Color"), roughness=self.values.scalar(node, "Roughness"))
+
+    def node_bsdf_glass(self, node):
+        self.found.add("refraction")
+        reflected = normal_reflectance(self.values.scalar(node, "IOR"))
+        return Surface.of(specular=self._albedo(node) * reflected, roughness=self.values.scalar(node, "Roughness"))
+
+    def node_bsdf_refraction(self, node):
+        self.found.add("refraction")
+        return Surface.of()
+
+    def node_bsdf_translucent(self, node):
+        self.found.add("translucency")
+        return Surface.of(diffuse=self._albedo(node))
+
+    def node_subsurface_scattering(self, node):
+        self.found.add("subsurface")
+        return Surface.of(diffuse=self._albedo(node))
+
+    def node_bsdf_transparent(self, node):
+        return Surface.of(transparent=self._albedo(node))
+
+    def node_bsdf_ray_portal(self, node):
+        self.found.add("portal")
+        return Surface.of(transparent=self._albedo(node))
+
+    def node_holdout(self, node):
+        return Surface.of()
+
+    def node_bsdf_principled(self, node):
+        values = self.values
+        base, tint = self._albedo(node, "Base Color"), self._albedo(node, "Specular Tint")
+        metallic, transmission, alpha, subsurface, coat = (
+            np.clip(values.scalar(node, name), 0, 1)
+            for name in ("Metallic", "Transmission Weight", "Alpha", "Subsurface Weight", "Coat Weight"))
+        roughness = np.clip(values.scalar(node, "Roughness"), 0, 1)
+        if (transmission * (1 - metallic)).max() > 0:
+            self.found.add("refraction")
+        if (subsurface * (1 - metallic) * (1 - transmission)).max() > 0:
+            self.found.add("subsurface")
+        # the specular level scales the reflectance at normal incidence, with 0.5 as the neutral value
+        f0 = np.clip(normal_reflectance(values.scalar(node, "IOR")) * 2 * values.scalar(node, "Specular IOR Level"), 0, 1)
+        # what the specular layer takes from the diffuse one: Schlick's reflectance averaged over the cosine-weighted hemisphere
+        taken = mean_reflectance(f0, roughness)
+        diffuse = base * (1 - metallic) * (1 - transmission) * (1 - taken)
+        specular = base * metallic + (1 - metallic) * f0 * tint
+        emission = values.colour(node, "Emission Color") * values.scalar(node, "Emission Strength")
+        surface = Surface.of(diffuse, specular, roughness, emission)
+        if coat.max() > 0:
+            coat_f0 = coat * normal_reflectance(values.scalar(node, "Coat IOR"))
+            coat_roughness = np.clip(values.scalar(node, "Coat Roughness"), 0, 1)
+            below = (1 - coat * mean_reflectance(normal_reflectance(values.scalar(node, "Coat IOR")), coat_roughness))
+            # light crosses the tinted coat on its way in and out; at normal incidence that is the tint itself
+            below = below * (1 + coat * (self._albedo(node, "Coat Tint") - 1))
+            under = Surface(surface.diffuse * below, surface.specular * below,
+                            surface.rough_specular * below.mean(1, keepdims=True), surface.emission * below,
+                            surface.transparent)
+            surface = under + Surface.of(specular=coat_f0, roughness=coat_roughness)
+        return surface * alpha + Surface.of(transparent=1 - alpha)
+
+
+def mean_reflectance(f0: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+    """Share of uniform light that a dielectric layer over a diffuse one reflects.
+
+    Schlick's f0 + (1 - f0) (1 - cos)^5 has the cosine-weighted mean f0 + (1 - f0) / 21. A rough layer masks its grazing
+    facets, which lowers the second term; the linear fall is fitted to Cycles' Diffuse Color pass at roughness 0 to 1.
+    """
+    return np.where(f0 > 0, f0 + (1 - f0) / 21 * (1 - _MASKING * roughness), 0)
+
+
+_MASKING = 0.7
+
+
+@dataclass(frozen=True)
+class MaterialTable:
+    """Materials of a frame.
+
+    Attributes
+    ----------
+    materials : tuple of Material
+        The first is what an empty slot shows; `Frame.materials` and `Geometry.material` use this order.
+    index : dict
+        Address of each evaluated material to its place in `materials`.
+    traces : tuple
+        What each material's surface depends on besides points: equal traces shade equally.
+    needs : tuple of frozenset
+        Point data that each material's surface varies with: empty for an even one.
+    warnings : tuple of str
+        One line for each thing that is not modelled, naming the material.
+    evaluated : tuple
+        The evaluated datablocks, None for the first; valid as long as the depsgraph is.
+    """
+
+    materials: tuple[Material, ...]
+    index: dict[int, int]
+    traces: tuple[tuple, ...]
+    needs: tuple[frozenset, ...]
+    warnings: tuple[str, ...]
+    evaluated: tuple[bpy.types.Material | None, ...] = field(repr=False)
+
+    @property
+    def roughness(self) -> np.ndarray:
+        """(M,) float32 perceptual roughness, for a Blender without a roughness pass."""
+        return np.array([material.roughness for material in self.materials], np.float32)
+
+    @property
+    def has_glossy(self) -> bool:
+        return any(max(material.specular) > 1e-4 for material in self.materials)
+
+    @property
+    def has_emission(self) -> bool:
+        return any(max(material.emission) > 0 for material in self.materials)
+
+    @property
+    def has_transparency(self) -> bool:
+        return any(material.alpha < 1 - 1e-4 for material in self.materials)
+
+    def of(self, material: bpy.types.Material | None) -> int:
+        """Place of an evaluated material; 0 for None and for one that the table does not know."""
+        return 0 if material is None else self.index.get(material.as_pointer(), 0)
+
+
+def used_materials(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Material]:
+    """Evaluated materials in the slots of the surfaces that render, sorted by name."""
+    found: dict[int, bpy.types.Material] = {}
+    seen: set[tuple] = set()
+    for instance in depsgraph.object_instances:
+        source = instance.object
+        if source.type not in SURFACE_TYPES or not instance.show_self:
+            continue
+        key = (source.original.as_pointer(), source.data.as_pointer() if source.data else 0)
+        if key in seen:
+            continue
+        seen.add(key)
+        for slot in source.material_slots:
+            if slot.material is not None:
+                found.setdefault(slot.material.as_pointer(), slot.material)
+    return sorted(found.values(), key=lambda material: material.name_full)
+
+
+def _to_material(name: str, surface: Surface) -> Material:
+    def colour(values: np.ndarray) -> tuple[float, float, float]:
+        return tuple(float(v) for v in values.mean(0))
+
+    return Material(name, colour(surface.diffuse), colour(surface.specular), float(surface.roughness.mean()),
+                    colour(np.maximum(surface.emission, 0)), float(np.clip(1 - surface.transparent.mean(), 0, 1)))
+
+
+def read_materials(depsgraph: bpy.types.Depsgraph, images: ImageCache | None = None) -> MaterialTable:
+    """Constants, or means of textures, of every material that the evaluated scene shows.
+
+    `images` keeps what was read of textures for the next frame. The order is the same for equal scenes: by name.
+    """
+    images = images or ImageCache()
+    images.begin(depsgraph.scene.frame_current)
+    materials, traces, needs, warnings = [], [], [], []
+    used = used_materials(depsgraph)
+    for material in (None, *used):
+        reader = SurfaceReader(images)
+        name = material.name_full if material else "(no material)"
+        materials.append(_to_material(name, reader.material(material)))
+        traces.append(tuple(reader.values.trace))
+        needs.append(frozenset(reader.values.needs))
+        warnings += [f"material {name!r}: {_NOT_MODELLED[what]}" for what in sorted(reader.found)]
+    return MaterialTable(tuple(materials), {m.as_pointer(): k for k, m in enumerate(used, 1)}, tuple(traces), tuple(needs),
+                         tuple(warnings), (None, *used))
+
+
+def number_materials(depsgraph: bpy.types.Depsgraph, table: MaterialTable) -> None:
+    """Set the pass index of the evaluated materials to their place in the table; pixels without a material keep 0.
+
+    Call it after the depsgraph was evaluated and before Cycles reads it. The originals keep theirs.
+    """
+    for datablock in depsgraph.ids:
+        if isinstance(datablock, bpy.types.Material) and datablock.is_evaluated:
+            datablock.pass_index = table.of(datablock)
