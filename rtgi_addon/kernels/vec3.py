@@ -46,16 +46,19 @@ def load_pixel(a, i, j):
 
 @device_jit
 def add(a, b):
+    """a + b"""
     return Vec3(a.x + b.x, a.y + b.y, a.z + b.z)
 
 
 @device_jit
 def sub(a, b):
+    """a - b"""
     return Vec3(a.x - b.x, a.y - b.y, a.z - b.z)
 
 
 @device_jit
 def scaled(a, s):
+    """s a, for a scalar s"""
     return Vec3(a.x * s, a.y * s, a.z * s)
 
 
@@ -73,16 +76,19 @@ def lifted(p, n, offset_m):
 
 @device_jit
 def dot(a, b):
+    """Scalar product."""
     return a.x * b.x + a.y * b.y + a.z * b.z
 
 
 @device_jit
 def cross(a, b):
+    """Vector product, right-handed."""
     return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
 @device_jit
 def length(a):
+    """|a|, in the unit of a."""
     return math.sqrt(dot(a, a))
 
 
