@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from .jit import pixel_jit, prange
-from .vec3 import ZERO, dot, f32, load_pixel
+from .jit import device_jit, pixel_jit, prange
+from .vec3 import ONE, ZERO, dot, f32, load_pixel, sub, tangent_frame
 
 WEAK = f32(0.05)            # below this weight a pixel found no like neighbour on the lattice
 TWO = f32(2)
@@ -51,3 +51,107 @@ def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask,
             if total > ZERO:
                 out[i, j, 0], out[i, j, 1], out[i, j, 2] = red / total, green / total, blue / total
     return out, weak
+
+
+@device_jit
+def _likeness(p, n, q, m, rcp_tolerance):
+    """Weight in [0, 1] of a neighbour at q, normal m: the 16th power of the normals' cosine, and nearness to the tangent plane."""
+    cosine = dot(n, m)
+    if cosine <= ZERO:
+        return ZERO
+    c2 = cosine * cosine
+    c4 = c2 * c2
+    c8 = c4 * c4
+    return c8 * c8 * math.exp(-abs(dot(n, sub(q, p))) * rcp_tolerance)
+
+
+@pixel_jit
+def pilot_means(light, position, normal, mask, rcp_tolerance):
+    """(h, w, 2) float32: mean light (over colours) of the 3x3 like neighbours of each lattice point, and its variance."""
+    height, width = mask.shape
+    out = np.zeros((height, width, 2), np.float32)
+    for i in prange(height):
+        for j in range(width):
+            if not mask[i, j]:
+                continue
+            p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
+            total, mean, variance = ZERO, ZERO, ZERO
+            for u in range(max(i - 1, 0), min(i + 2, height)):
+                for v in range(max(j - 1, 0), min(j + 2, width)):
+                    if mask[u, v]:
+                        k = _likeness(p, n, load_pixel(position, u, v), load_pixel(normal, u, v), rcp_tolerance[i, j])
+                        total += k
+                        mean += k * (light[u, v, 0] + light[u, v, 1] + light[u, v, 2]) * f32(1 / 3)
+                        variance += k * k * light[u, v, 4]
+            out[i, j, 0], out[i, j, 1] = mean / total, variance / (total * total)
+    return out
+
+
+@device_jit
+def _solve_intercept(a, b, ridge):
+    """First unknown (3 right sides) of the 4x4 weighted normal equations a x = b; `ridge` holds the slopes near 0. In place."""
+    for k in range(1, 4):
+        a[k, k] += ridge * a[0, 0]
+    for k in range(3, 0, -1):                    # eliminate the slopes, last first: what is left is the intercept
+        inv = ONE / a[k, k]
+        for r in range(k):
+            factor = a[r, k] * inv
+            for c in range(k):
+                a[r, c] -= factor * a[k, c]
+            for c in range(3):
+                b[r, c] -= factor * b[k, c]
+    inv = ONE / a[0, 0]
+    return b[0, 0] * inv, b[0, 1] * inv, b[0, 2] * inv
+
+
+@pixel_jit
+def regress_lattice(light, pilot, position, normal, mask, rcp_tolerance, radius, contrast, ridge):
+    """Light (h, w, 5) of a lattice freed of noise: at each point the intercept of a weighted linear fit, (h, w, 3) float32.
+
+    The fit runs over the like neighbours within `radius` in the two directions of the surface and in the unshadowed light,
+    which is known without noise: where visibility is even, light follows it into corners, and where it is not, the
+    slope says so (regression with a control variate; the linear form of Bitterli et al. 2016). Neighbours
+    whose pilot mean differs by more than its noise count less, by `contrast` standard deviations.
+    """
+    height, width = mask.shape
+    out = np.zeros((height, width, 3), np.float32)
+    for i in prange(height):
+        a, b, f = np.empty((4, 4), np.float32), np.empty((4, 3), np.float32), np.empty(4, np.float32)
+        for j in range(width):
+            if not mask[i, j]:
+                continue
+            p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
+            tangent, bitangent = tangent_frame(n)
+            unshadowed = light[i, j, 3]
+            inv_unshadowed = ONE / max(unshadowed, f32(1e-30))
+            a[:] = ZERO
+            b[:] = ZERO
+            for u in range(max(i - radius, 0), min(i + radius + 1, height)):
+                for v in range(max(j - radius, 0), min(j + radius + 1, width)):
+                    if not mask[u, v]:
+                        continue
+                    q = load_pixel(position, u, v)
+                    k = _likeness(p, n, q, load_pixel(normal, u, v), rcp_tolerance[i, j])
+                    if k < f32(1e-3):
+                        continue
+                    difference = pilot[u, v, 0] - pilot[i, j, 0]
+                    noise = pilot[u, v, 1] + pilot[i, j, 1]
+                    k *= math.exp(-difference * difference / (contrast * contrast * noise + f32(1e-4) * pilot[i, j, 0] ** 2
+                                                              + f32(1e-30)))
+                    r2 = f32((u - i) * (u - i) + (v - j) * (v - j)) / f32((radius + 1) * (radius + 1))
+                    k *= max(ZERO, ONE - r2)
+                    d = sub(q, p)
+                    f[0], f[1] = ONE, dot(d, tangent) * rcp_tolerance[i, j]
+                    f[2] = dot(d, bitangent) * rcp_tolerance[i, j]
+                    f[3] = max(min(light[u, v, 3] * inv_unshadowed - ONE, f32(4)), -ONE)
+                    for r in range(4):
+                        for c in range(r, 4):
+                            a[r, c] += k * f[r] * f[c]
+                        for c in range(3):
+                            b[r, c] += k * f[r] * light[u, v, c]
+            for r in range(4):
+                for c in range(r):
+                    a[r, c] = a[c, r]
+            red, green, blue = _solve_intercept(a, b, ridge)
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = max(red, ZERO), max(green, ZERO), max(blue, ZERO)
+    return out

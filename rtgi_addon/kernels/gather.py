@@ -103,7 +103,7 @@ def _pick_far(running, first, last, u):
 
 @device_jit
 def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, near, stack):
-    """Irradiance (r, g, b) at one point."""
+    """(r, g, b, unshadowed mean, variance of the mean) at one point."""
     C, T, start, end, running = clusters.table, clusters.texels, clusters.start, clusters.end, clusters.running
     n_clusters = C.shape[1]
     _weigh(p, n, C, w)
@@ -117,9 +117,9 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, near, 
                 diffuse, glossy = texel_factors(p, n, T, k, eps2)
                 w[c] += _mean_given(T, k, diffuse, glossy)
         total += w[c]
-    red, green, blue = ZERO, ZERO, ZERO
+    red, green, blue, squares = ZERO, ZERO, ZERO, ZERO
     if not total > ZERO:
-        return red, green, blue
+        return red, green, blue, ZERO, ZERO
     origin, c, reached = lifted(p, n, offset_m), -1, ZERO
     for j in range(rays):
         target = (f32(j) + uniform(point, seed, 2 * j)) / f32(rays) * total
@@ -148,21 +148,24 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, near, 
         red += s * (diffuse * T[DIFFUSE, k] + glossy * T[GLOSSY, k])
         green += s * (diffuse * T[DIFFUSE + 1, k] + glossy * T[GLOSSY + 1, k])
         blue += s * (diffuse * T[DIFFUSE + 2, k] + glossy * T[GLOSSY + 2, k])
-    return red, green, blue
+        squares += s * s * gives * gives
+    mean = THIRD * (red + green + blue)
+    return red, green, blue, total, max(squares - mean * mean / f32(rays), ZERO)
 
 
 @pixel_jit
 def gather_visible(position, normal, ids, clusters, eps2, bvh, rays, offset_m, seed):
-    """Irradiance (M, 3) float32 W/m2 at points (M, 3) with unit normals (M, 3) by `rays` shadow rays each.
+    """Irradiance at points (M, 3) with unit normals (M, 3) by `rays` shadow rays each, as (M, 5) float32.
 
+    Columns: irradiance by colour; what the clusters would give unshadowed (mean over colours); variance of the mean. W/m2.
     `ids` (M,) int64 seeds each point's random numbers; `eps2` m2 keeps 1 / r^2 finite on the texel itself; `offset_m`
     lifts both ends of a ray off their surfaces.
     """
     number, n_clusters = position.shape[0], clusters.table.shape[1]
-    out = np.zeros((number, 3), np.float32)
+    out = np.zeros((number, 5), np.float32)
     for block in prange((number + POINTS_A_BLOCK - 1) // POINTS_A_BLOCK):
         w, near, stack = np.empty(n_clusters, np.float32), np.empty(n_clusters, np.bool_), np.empty(STACK, np.int32)
         for m in range(block * POINTS_A_BLOCK, min(number, (block + 1) * POINTS_A_BLOCK)):
-            out[m, 0], out[m, 1], out[m, 2] = _gather_at(
+            out[m, 0], out[m, 1], out[m, 2], out[m, 3], out[m, 4] = _gather_at(
                 load(position, m), load(normal, m), ids[m], clusters, eps2, bvh, rays, offset_m, seed, w, near, stack)
     return out

@@ -50,7 +50,10 @@ def _find(cdf, u):
 
 @pixel_jit
 def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed):
-    """(M, 3) float32 W/m2 irradiance from the sky, with visibility.
+    """Irradiance from the sky with visibility at points (M, 3), as (M, 5) float32.
+
+    Columns: irradiance by colour; what an open point would get from the same rays (mean over colours); variance of the mean.
+    W/m2.
 
     `radiance` (H, W, 3) W/(m2 sr); `cdf` (H W,) float64 running sum of brightness times solid angle, ending at 1; `density`
     (H, W) float32 1/sr of drawing a direction by it. Of `rays` rays the share `map_share` is drawn by the map, the rest by
@@ -58,14 +61,14 @@ def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_sha
     """
     number, height, width = position.shape[0], radiance.shape[0], radiance.shape[1]
     by_map = int(f32(rays) * map_share)
-    out = np.zeros((number, 3), np.float32)
+    out = np.zeros((number, 5), np.float32)
     for m in prange(number):
         stack = np.empty(STACK, np.int32)
         p, n = load(position, m), load(normal, m)
         tangent, bitangent = tangent_frame(n)
         origin = lifted(p, n, offset_m)
         shift_u, shift_v = uniform(ids[m], seed, 0), uniform(ids[m], seed, 1)
-        red, green, blue = ZERO, ZERO, ZERO
+        red, green, blue, given, squares = ZERO, ZERO, ZERO, ZERO, ZERO
         for j in range(rays):
             u, v = r2_sequence(j, shift_u, shift_v)
             if j < by_map:
@@ -80,7 +83,11 @@ def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_sha
             pdf = f32(by_map) * density[row, column] + f32(rays - by_map) * cosine * INV_PI
             weight = cosine / pdf
             r, g, b = radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2]
-            if r + g + b > ZERO and not is_occluded(bvh, stack, origin, scaled(d, reach_m)):
+            mean = f32(1 / 3) * weight * (r + g + b)
+            given += mean
+            if mean > ZERO and not is_occluded(bvh, stack, origin, scaled(d, reach_m)):
                 red, green, blue = red + weight * r, green + weight * g, blue + weight * b
-        out[m, 0], out[m, 1], out[m, 2] = red, green, blue
+                squares += mean * mean
+        out[m, 0], out[m, 1], out[m, 2], out[m, 3] = red, green, blue, given
+        out[m, 4] = max(squares - f32(1 / 9) * (red + green + blue) ** 2 / f32(rays), ZERO)
     return out

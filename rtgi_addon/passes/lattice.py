@@ -8,13 +8,16 @@ import numpy as np
 
 from ..core.frame import Frame
 from ..core.transforms import Camera, Projection
-from ..kernels.filters import spread_lattice
+from ..kernels.filters import pilot_means, regress_lattice, spread_lattice
+from ..kernels.vec3 import f32
 from .base import Context
 
-# A gather function takes points (M, 3), normals (M, 3), ids (M,) and a seed, and returns (M, 3).
+# A gather function takes points (M, 3), normals (M, 3), ids (M,) and a seed, and returns (M, 5) as the kernels do: light by
+# colour, unshadowed mean, variance of the mean; or (M, 3) light alone, which is then smoothed by plane and normal only.
 Gather = Callable[[np.ndarray, np.ndarray, np.ndarray, int], np.ndarray]
 
 PLANE_TOLERANCE_PX = 1.6    # how far off the tangent plane, in footprints of a lattice cell, a neighbour still counts e^-1
+RADIUS, CONTRAST, RIDGE = 4, 2.0, 0.2
 TILE_POINTS = 16384         # points between two looks at Esc
 
 
@@ -28,9 +31,9 @@ def pixel_footprint_m(camera: Camera, depth: np.ndarray) -> np.ndarray:
 
 
 def gather_in_tiles(gather: Gather, position: np.ndarray, normal: np.ndarray, ids: np.ndarray, seed: int,
-                    context: Context, text: str) -> np.ndarray:
+                    context: Context, text: str, columns: int = 3) -> np.ndarray:
     """`gather` over (M, 3) points in tiles, so that Esc is seen between them."""
-    out = np.zeros((len(position), 3), np.float32)
+    out = np.zeros((len(position), columns), np.float32)
     for first in range(0, len(position), TILE_POINTS):
         context.checkpoint(text, first / len(position))
         tile = slice(first, first + TILE_POINTS)
@@ -50,22 +53,23 @@ def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, con
     ids = np.arange(mask.size, dtype=np.int64).reshape(mask.shape)
     if step_px == 1:
         out = np.zeros((*mask.shape, 3), np.float32)
-        out[mask] = gather_in_tiles(gather, g.position_ws[mask], g.normal_ws[mask], ids[mask], seed, context, text)
+        out[mask] = gather_in_tiles(gather, g.position_ws[mask], g.normal_ws[mask], ids[mask], seed, context, text, 5)[:, :3]
         return out, {"gathered_share": 1.0}
     at = (slice(step_px // 2, None, step_px), slice(step_px // 2, None, step_px))
     if not mask[at].any():
         at = (slice(0, None, 1), slice(0, None, 1))      # an image smaller than the lattice, or one with slivers only
         step_px = 1
     position_l, normal_l, mask_l = (np.ascontiguousarray(a[at]) for a in (g.position_ws, g.normal_ws, mask))
-    lattice = np.zeros((*mask_l.shape, 3), np.float32)
-    lattice[mask_l] = gather_in_tiles(gather, position_l[mask_l], normal_l[mask_l], ids[at][mask_l], seed, context, text)
+    lattice = np.zeros((*mask_l.shape, 5), np.float32)
+    lattice[mask_l] = gather_in_tiles(gather, position_l[mask_l], normal_l[mask_l], ids[at][mask_l], seed, context, text, 5)
     tolerance = PLANE_TOLERANCE_PX * step_px * pixel_footprint_m(frame.camera, g.depth)
     rcp_tolerance = (1 / np.maximum(tolerance, 1e-30)).astype(np.float32)
     context.checkpoint("Filter", 0.0)
-    smooth, _ = spread_lattice(lattice, position_l, normal_l, mask_l, position_l, normal_l, mask_l,
-                               np.ascontiguousarray(rcp_tolerance[at]), 1)
+    rcp_l = np.ascontiguousarray(rcp_tolerance[at])
+    pilot = pilot_means(lattice, position_l, normal_l, mask_l, rcp_l)
+    smooth = regress_lattice(lattice, pilot, position_l, normal_l, mask_l, rcp_l, RADIUS, f32(CONTRAST), f32(RIDGE))
     out, weak = spread_lattice(smooth, position_l, normal_l, mask_l, g.position_ws, g.normal_ws, mask, rcp_tolerance, step_px)
     if weak.any():
-        out[weak] = gather_in_tiles(gather, g.position_ws[weak], g.normal_ws[weak], ids[weak], seed + 1, context, text)
+        out[weak] = gather_in_tiles(gather, g.position_ws[weak], g.normal_ws[weak], ids[weak], seed + 1, context, text, 5)[:, :3]
     surface = max(int(mask.sum()), 1)
     return out, {"gathered_share": float((mask_l.sum() + weak.sum()) / surface), "weak_share": float(weak.sum() / surface)}
