@@ -1,1 +1,1 @@
-"""Errors against Cycles one-bounce: metrics, reference, pictures and benchmarks."""
+"""Measuring: metrics, references by Cycles, tables, pictures and benchmarks. Only `reference` imports Blender."""

@@ -1,0 +1,259 @@
+"""The metrics are right on pictures whose error is known, and none of them misses what it is there to see."""
+
+import numpy as np
+import pytest
+
+from rtgi_addon.compare import metrics
+from rtgi_addon.compare.halves import PASSES, Reference, load_reference
+from rtgi_addon.errors import InputError
+
+GAIN = 1.02
+SHIFT_PX = 1
+EXACT = 1e-12               # float64 sums of a few thousand values
+
+
+@pytest.fixture
+def truth(rng):
+    """A picture with structure at every scale, values of order 1, odd size so that edge blocks are cut."""
+    y, x = np.mgrid[0:45, 0:67]
+    smooth = 1.0 + 0.5 * np.sin(x / 9) * np.cos(y / 7)
+    edges = np.where((x // 13 + y // 11) % 2, 1.0, 0.3)
+    return (smooth * edges)[..., None] * np.array([1.0, 0.8, 0.6]) + 0.05 * rng.random((45, 67, 3))
+
+
+@pytest.fixture
+def mask(truth):
+    inside = np.ones(truth.shape[:2], bool)
+    inside[:5, :9] = False
+    return inside
+
+
+@pytest.fixture
+def halves(truth, rng):
+    """Two noisy halves of the truth; 10 % noise a pixel."""
+    return truth + 0.1 * rng.standard_normal(truth.shape), truth + 0.1 * rng.standard_normal(truth.shape)
+
+
+def display(image):
+    return image / 2
+
+
+# how each comparator sees a picture, as "larger is worse", and what a perfect picture scores
+COMPARATORS = {
+    "block_relative_l1": lambda t, r, m: metrics.block_relative_l1(t, r, m),
+    "relative_l1": lambda t, r, m: metrics.relative_l1(t, r, m),
+    "noise_free_nrmse": lambda t, r, m: metrics.noise_free_nrmse(t, r, r, m),
+    "share_within": lambda t, r, m: 1 - metrics.share_within(t, r, m),
+    "ssim": lambda t, r, m: 1 - metrics.ssim(display(t), display(r)),
+    "energy_ratio": lambda t, r, m: abs(metrics.energy_ratio(t, r, m) - 1),
+}
+# what 2 % make by definition, less rounding; SSIM hardly sees brightness, but more than rounding
+SEES_GAIN = {"block_relative_l1": 0.0199, "relative_l1": 0.0199, "noise_free_nrmse": 0.0199, "energy_ratio": 0.0199,
+             "share_within": 0.99, "ssim": 1e-5}
+# less than half of what this picture's edges give
+SEES_SHIFT = {"block_relative_l1": 0.01, "relative_l1": 0.02, "noise_free_nrmse": 0.1, "share_within": 0.5, "ssim": 0.02}
+
+
+@pytest.mark.parametrize("name", COMPARATORS)
+def test_a_perfect_picture_has_no_error(name, truth, mask):
+    assert COMPARATORS[name](truth, truth, mask) < EXACT
+
+
+@pytest.mark.parametrize("name", COMPARATORS)
+def test_two_percent_gain_is_seen(name, truth, mask):
+    assert COMPARATORS[name](truth * GAIN, truth, mask) > SEES_GAIN[name]
+
+
+@pytest.mark.parametrize("name", SEES_SHIFT)
+def test_shift_by_one_pixel_is_seen(name, truth, mask):
+    assert COMPARATORS[name](np.roll(truth, SHIFT_PX, 1), truth, mask) > SEES_SHIFT[name]
+
+
+def test_energy_ratio_alone_would_miss_a_shift(truth):
+    everywhere = np.ones(truth.shape[:2], bool)
+    assert COMPARATORS["energy_ratio"](np.roll(truth, SHIFT_PX, 1), truth, everywhere) < EXACT
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", COMPARATORS)
+def test_one_value_that_is_not_finite_is_an_error(name, value, truth, mask):
+    broken = truth.copy()
+    broken[7, 3, 1] = value
+    with pytest.raises(InputError, match="1 pixels that are not finite, the first at column 3, row 7"):
+        COMPARATORS[name](broken, truth, mask)
+
+
+@pytest.mark.parametrize("name", COMPARATORS)
+def test_nan_outside_the_mask_is_an_error_too(name, truth, mask):
+    broken = truth.copy()
+    broken[0, 0] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        COMPARATORS[name](broken, truth, mask)
+
+
+@pytest.mark.parametrize("name", COMPARATORS)
+def test_nan_in_the_reference_is_an_error(name, truth, mask):
+    broken = truth.copy()
+    broken[7, 3, 1] = np.nan
+    with pytest.raises(InputError, match="the reference has 1 pixels"):
+        COMPARATORS[name](truth, broken, mask)
+
+
+@pytest.mark.parametrize("name", COMPARATORS)
+def test_pictures_of_different_size_are_an_error(name, truth, mask):
+    with pytest.raises(InputError, match="one size"):
+        COMPARATORS[name](truth, truth[:-1], mask)
+
+
+@pytest.mark.parametrize("name", [name for name in COMPARATORS if name != "ssim"])
+def test_what_the_mask_leaves_out_does_not_count(name, truth, mask):
+    changed = truth.copy()
+    changed[~mask] *= 5
+    assert COMPARATORS[name](changed, truth, mask) < EXACT
+
+
+def test_empty_mask_is_an_error(truth):
+    with pytest.raises(InputError, match="no pixel"):
+        metrics.relative_l1(truth, truth, np.zeros(truth.shape[:2], bool))
+
+
+@pytest.mark.parametrize("metric", [metrics.block_relative_l1, metrics.relative_l1, metrics.energy_ratio])
+def test_black_reference_is_an_error(metric, truth, mask):
+    with pytest.raises(InputError, match="black"):
+        metric(truth, np.zeros_like(truth), mask)
+
+
+def test_error_in_the_cut_blocks_at_the_edge_counts():
+    reference, test = np.ones((9, 9, 3)), np.ones((9, 9, 3))
+    test[8, 8] = 2.0
+    assert metrics.block_relative_l1(test, reference, np.ones((9, 9), bool)) == pytest.approx(1 / 81, abs=EXACT)
+
+
+def test_opposite_errors_within_a_block_cancel_and_across_blocks_do_not():
+    reference = np.ones((8, 16))
+    within, across = reference.copy(), reference.copy()
+    within[0, 0], within[0, 1] = 1.5, 0.5
+    across[0, 0], across[0, 8] = 1.5, 0.5
+    mask = np.ones(reference.shape, bool)
+    assert metrics.block_relative_l1(within, reference, mask) == 0
+    assert metrics.block_relative_l1(across, reference, mask) == pytest.approx(1 / 128, abs=EXACT)
+
+
+def test_energy_ratio_is_signed(truth, mask):
+    assert metrics.energy_ratio(0.9 * truth, truth, mask) == pytest.approx(0.9, abs=EXACT)
+
+
+def test_noise_free_nrmse_does_not_see_the_noise_of_the_halves(truth, halves, mask):
+    # the products of noise average to nothing up to 0.01/sqrt(8700), 4 % of the error found: three times that is allowed
+    seen = metrics.noise_free_nrmse(1.05 * truth, *halves, mask)
+    exact = metrics.noise_free_nrmse(1.05 * truth, truth, truth, mask)
+    assert seen == pytest.approx(exact, rel=0.12)
+    assert metrics.nrmse_noise(*halves, mask) > exact
+
+
+def test_noise_free_nrmse_of_the_truth_is_far_below_the_noise(truth, halves, mask):
+    assert metrics.noise_free_nrmse(truth, *halves, mask) < 0.3 * metrics.nrmse_noise(*halves, mask)
+
+
+def test_nrmse_noise_is_that_of_the_mean_of_the_halves(truth, halves, mask):
+    # noise 0.1 a half gives 0.1/sqrt(2) for the mean; 2 % for the fluctuation of the estimate
+    expected = 0.1 / np.sqrt(2) / truth[mask].mean()
+    assert metrics.nrmse_noise(*halves, mask) == pytest.approx(expected, rel=0.02)
+
+
+def test_one_firefly_of_the_reference_does_not_decide_the_nrmse(truth, halves, mask):
+    a, b = halves
+    spoiled = a.copy()
+    spoiled[20, 20] = 1e6
+    assert metrics.noise_free_nrmse(1.05 * truth, spoiled, b, mask) < 2 * metrics.noise_free_nrmse(1.05 * truth, a, b, mask)
+
+
+def test_block_noise_is_what_a_perfect_picture_scores(truth, halves, mask):
+    a, b = halves
+    # both are means of |noise| over 54 blocks and 3 channels: each has a spread of 6 %
+    assert metrics.block_noise(a, b, mask) == pytest.approx(metrics.block_relative_l1(truth, (a + b) / 2, mask), rel=0.25)
+
+
+def test_share_within_counts_pixels_with_any_channel_off():
+    reference, mask = np.ones((10, 10, 3)), np.ones((10, 10), bool)
+    test = reference.copy()
+    test[0, :5, 2] = 1.011
+    test[1, :5, 2] = 1.009
+    assert metrics.share_within(test, reference, mask) == pytest.approx(0.95, abs=EXACT)
+
+
+def test_share_within_forgives_what_is_nothing_beside_the_mean():
+    reference, mask = np.ones((10, 10, 3)), np.ones((10, 10), bool)
+    reference[0] = 1e-6
+    test = reference.copy()
+    test[0] = 2e-6
+    assert metrics.share_within(test, reference, mask) == 1.0
+
+
+def test_share_within_sees_light_where_there_is_none():
+    reference, mask = np.ones((10, 10, 3)), np.ones((10, 10), bool)
+    reference[0] = 0.0
+    test = reference.copy()
+    test[0] = 0.005
+    assert metrics.share_within(test, reference, mask) == pytest.approx(0.9, abs=EXACT)
+
+
+def test_ssim_of_unrelated_noise_is_low(rng):
+    assert metrics.ssim(rng.random((40, 40)), rng.random((40, 40))) < 0.2
+
+
+def test_ssim_refuses_a_picture_smaller_than_its_window():
+    with pytest.raises(InputError, match="7x7"):
+        metrics.ssim(np.ones((6, 20)), np.ones((6, 20)))
+
+
+# ---- references ----
+
+CHANNELS = {"Combined": 4, "Depth": 1}
+
+
+@pytest.fixture
+def reference(rng):
+    halves = [{name: rng.random((6, 8, CHANNELS.get(name, 3)), np.float32) for name in PASSES} for _ in range(2)]
+    for half in halves:
+        half["Depth"][:2] = 1e10
+    return Reference(*halves, samples=5)
+
+
+def test_saved_reference_comes_back(reference, tmp_path):
+    reference.save(tmp_path / "r.npz")
+    again = load_reference(tmp_path / "r.npz", (8, 6))
+    assert again.samples == 5
+    assert all(np.array_equal(again.half_b[name], reference.half_b[name]) for name in PASSES)
+
+
+def test_reference_counts_surfaces_only(reference):
+    assert not reference.mask[:2].any() and reference.mask[2:].all()
+
+
+def test_bounce_of_a_reference_has_its_colour_in_it(reference):
+    a, _ = reference.halves("bounce")
+    assert np.array_equal(a, reference.half_a["Diffuse Indirect"] * reference.half_a["Diffuse Color"])
+
+
+def test_reference_of_another_size_is_refused(reference, tmp_path):
+    reference.save(tmp_path / "r.npz")
+    with pytest.raises(InputError, match="8x6, the picture 16x9"):
+        load_reference(tmp_path / "r.npz", (16, 9))
+
+
+def test_missing_reference_is_refused(tmp_path):
+    with pytest.raises(InputError, match="there is no reference"):
+        load_reference(tmp_path / "r.npz")
+
+
+def test_file_that_is_no_reference_is_refused(tmp_path):
+    (tmp_path / "r.npz").write_bytes(b"text")
+    with pytest.raises(InputError, match="is no reference"):
+        load_reference(tmp_path / "r.npz")
+
+
+def test_archive_without_the_passes_is_refused(tmp_path):
+    np.savez(tmp_path / "r.npz", other=1)
+    with pytest.raises(InputError, match="is no reference"):
+        load_reference(tmp_path / "r.npz")
