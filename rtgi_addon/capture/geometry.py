@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core.frame import Geometry
 from .images import ImageCache
-from .materials import SURFACE_TYPES, MaterialTable, SurfaceReader
+from .materials import SURFACE_TYPES, MaterialCache, MaterialTable, SurfaceReader
 
 _KINDS = {"FLOAT": ("value", 1), "INT": ("value", 1), "BOOLEAN": ("value", 1), "FLOAT_VECTOR": ("vector", 3),
           "FLOAT2": ("vector", 2), "FLOAT_COLOR": ("color", 4), "BYTE_COLOR": ("color", 4)}
@@ -31,7 +31,7 @@ class _Topology:
 
 @dataclass
 class _Colours:
-    """What a mesh's triangles look like: `keep` (T,) bool or None for all; the others as in Geometry, without the left out."""
+    """What a mesh's triangles look like, as in Geometry; `keep` (T,) bool tells which of them are left, None for all."""
 
     albedo: np.ndarray
     emission: np.ndarray
@@ -41,11 +41,32 @@ class _Colours:
 
 @dataclass
 class GeometryCache:
-    """What stays between frames. One engine keeps one; everything not used in a frame is dropped at its end."""
+    """What stays between frames. One engine keeps one; everything not used in a frame is dropped at its end.
 
-    images: ImageCache = field(default_factory=ImageCache)
+    `materials` is for `read_materials`, whose textures both share.
+    """
+
+    materials: MaterialCache = field(default_factory=MaterialCache)
     topologies: dict[tuple, _Topology] = field(default_factory=dict)
     colours: dict[tuple, _Colours] = field(default_factory=dict)
+    joined: tuple[list[_Colours], tuple[np.ndarray, ...]] = ([], ())
+
+
+def _lattice(splits: int) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric points (P, 3) evenly inside a triangle, three for each of 4^splits parts, and the (3, P) linear fit.
+
+    The points of a part lie halfway between its corners and its middle. The fit gives the values at the corners of the
+    linear function nearest to values at the points; its mean is the points' mean.
+    """
+    parts = np.eye(3)[None]
+    for _ in range(splits):
+        middle = (parts + np.roll(parts, -1, axis=1)) / 2
+        parts = np.concatenate([np.stack([parts[:, k], middle[:, k], middle[:, k - 1]], 1) for k in range(3)] + [middle])
+    points = ((parts + parts.mean(1, keepdims=True)) / 2).reshape(-1, 3)
+    return points.astype(np.float32), np.linalg.pinv(points).astype(np.float32)
+
+
+_PLAIN, _STEPPED = _lattice(0), _lattice(1)
 
 
 def _values(mesh: bpy.types.Mesh, name: str, prop: str, width: int, dtype: type) -> np.ndarray | None:
@@ -59,9 +80,9 @@ def _values(mesh: bpy.types.Mesh, name: str, prop: str, width: int, dtype: type)
 
 
 class _Mesh:
-    """One evaluated mesh: its arrays as they are asked for, and three points inside each triangle for shading.
+    """One evaluated mesh: its arrays as they are asked for, and points inside each triangle for shading.
 
-    The points lie halfway between the corners and the middle, so that a texel belongs to the triangle that shows it.
+    `chosen` are the triangles that are shaded, None for all, at the barycentric `points` (P, 3) of each.
     """
 
     def __init__(self, mesh: bpy.types.Mesh, cache: dict[tuple, _Topology], kept: dict[tuple, _Topology]):
@@ -71,6 +92,7 @@ class _Mesh:
         self.corners = np.zeros(0, np.int32) if corners is None else corners[:, 0]
         self.topology = self._topology(cache, kept)
         self.chosen: np.ndarray | None = None
+        self.points = _PLAIN[0]
         self._layers: dict[tuple[str, str], np.ndarray | None] = {}
 
     def _topology(self, cache: dict[tuple, _Topology], kept: dict[tuple, _Topology]) -> _Topology:
@@ -172,7 +194,7 @@ class _Mesh:
             return None
         values = values.reshape(-1, 3, 4)
         values = values if self.chosen is None else values[self.chosen]
-        return ((values + values.mean(1, keepdims=True)) / 2).reshape(-1, 4)
+        return (self.points @ values).reshape(-1, 4)
 
     def uv(self, name: str) -> np.ndarray | None:
         values = self._inside("uv", name)
@@ -182,9 +204,9 @@ class _Mesh:
         return self._inside("attribute", name)
 
 
-def _to_corners(inside: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) values at the corners of the linear function with the values `inside`; the triangle's mean stays."""
-    return 2 * inside - inside.mean(1, keepdims=True)
+def _by_triangle(values: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
+    """(T, P, 3) of values (1 or T P, 3) at P points of T triangles."""
+    return np.broadcast_to(values, (shape[0] * shape[1], 3)).reshape(shape)
 
 
 def _shade(mesh: _Mesh, slot_materials: tuple[int, ...], table: MaterialTable, images: ImageCache) -> _Colours:
@@ -206,10 +228,13 @@ def _shade(mesh: _Mesh, slot_materials: tuple[int, ...], table: MaterialTable, i
             albedo[where], emission[where] = constants.albedo, constants.emission
             continue
         mesh.chosen = None if whole else chosen
+        mesh.points, fit = _STEPPED if table.is_stepped[k] else _PLAIN
         surface = SurfaceReader(images, mesh).material(table.evaluated[k])
-        inside = np.broadcast_to(surface.diffuse, (3 * len(chosen), 3)).reshape(-1, 3, 3)
-        albedo[where] = np.clip(_to_corners(inside), 0, 1)
-        emission[where] = np.maximum(np.broadcast_to(surface.emission, (3 * len(chosen), 3)).reshape(-1, 3, 3).mean(1), 0)
+        shape = (len(chosen), len(mesh.points), 3)
+        albedo[where] = np.clip(fit @ _by_triangle(surface.diffuse, shape), 0, 1)
+        emission[where] = np.maximum(_by_triangle(surface.emission, shape).mean(1), 0)
+        seen = _by_triangle(surface.transparent, shape).mean((1, 2)) < 1 - _INVISIBLE_ALPHA
+        keep[where] &= seen | emission[where].any(1)
     if keep.all():
         return _Colours(albedo, emission, material, None)
     return _Colours(albedo[keep], emission[keep], material[keep], keep)
@@ -243,10 +268,11 @@ def _read_part(source: bpy.types.Object, table: MaterialTable, cache: GeometryCa
                0 if index is None else zlib.crc32(np.ascontiguousarray(index)), mesh.checksum(needs))
         colours = kept.colours.get(key) or cache.colours.get(key)
         if colours is None:
-            colours = _shade(mesh, slots, table, cache.images)
+            colours = _shade(mesh, slots, table, cache.materials.images)
         kept.colours[key] = colours
         if source.is_holdout:
-            colours = _Colours(np.zeros_like(colours.albedo), np.zeros_like(colours.emission), colours.material, colours.keep)
+            colours = _Colours(np.zeros_like(colours.albedo), np.zeros_like(colours.emission), colours.material,
+                               colours.keep)
         vertices = mesh.vertices if colours.keep is None else mesh.vertices[colours.keep]
         return _Part(mesh.positions, vertices, colours)
     finally:
@@ -267,14 +293,15 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
     cache : GeometryCache or None
         Pass the same one in each frame; textures are then sampled only where something changed.
 
-    Left out are objects that no diffuse, glossy or shadow ray can meet, and surfaces that are fully transparent. The share
-    of a surface that is transparent counts as black in its albedo. NaN coordinates are handed on.
+    Left out are objects that no diffuse, glossy or shadow ray can meet, and triangles that are fully transparent. The
+    share of a surface that is transparent counts as black in its albedo. NaN coordinates are handed on. The colours of two
+    frames are the same arrays where nothing changed: do not write to them.
     """
     cache = GeometryCache() if cache is None else cache
     kept = GeometryCache()
     origin_ws = np.asarray(origin_ws, np.float64)
     parts: dict[tuple, _Part | None] = {}
-    corners, albedo, emission, material = [], [], [], []
+    placed, vertices, colours = [], [], []
     for instance in depsgraph.object_instances:
         source = instance.object
         if source.type not in SURFACE_TYPES or not instance.show_self or not _is_met_by_rays(source):
@@ -287,12 +314,22 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
         part = parts[key]
         if part is None or not len(part.vertices):
             continue
-        placed = part.positions @ matrix[:3, :3].T + (matrix[:3, 3] - origin_ws)
-        corners.append(placed.astype(np.float32)[part.vertices])
-        albedo.append(part.colours.albedo)
-        emission.append(part.colours.emission)
-        material.append(part.colours.material)
+        point = part.positions @ matrix[:3, :3].T
+        point += matrix[:3, 3] - origin_ws
+        placed.append(point.astype(np.float32))
+        vertices.append(part.vertices)
+        colours.append(part.colours)
     cache.topologies, cache.colours = kept.topologies, kept.colours
-    if not corners:
+    if not placed:
         return Geometry.empty()
-    return Geometry(*(np.concatenate(arrays) for arrays in (corners, albedo, emission, material)))
+    corners = np.empty((sum(map(len, vertices)), 3, 3), np.float32)
+    start = 0
+    for points, triangles in zip(placed, vertices, strict=True):
+        # indices come from Blender and are in range; "clip" only spares the check
+        np.take(points, triangles, axis=0, out=corners[start:start + len(triangles)], mode="clip")
+        start += len(triangles)
+    last, joined = cache.joined
+    if len(last) != len(colours) or any(a is not b for a, b in zip(last, colours, strict=True)):
+        joined = tuple(np.concatenate([getattr(c, name) for c in colours]) for name in ("albedo", "emission", "material"))
+        cache.joined = (colours, joined)
+    return Geometry(corners, *joined)

@@ -24,15 +24,20 @@ def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def _box_mean(pixels: np.ndarray, height: int, width: int) -> np.ndarray:
-    """(height, width, C) means of the boxes that cover (H, W, C); every source texel is in exactly one box."""
-    for axis, wanted in ((0, height), (1, width)):
+_DECODED_BYTES = srgb_to_linear(np.arange(256) / 255)
+
+
+def _box_mean(pixels: np.ndarray, factor: int) -> np.ndarray:
+    """Means over square boxes of (H, W, C), sizes rounded up; the last texels fill boxes at the edge."""
+    for axis in (0, 1):
         size = pixels.shape[axis]
-        if size != wanted:
-            starts = np.arange(wanted) * size // wanted
-            counts = np.diff(np.append(starts, size)).astype(np.float32)
-            sums = np.add.reduceat(pixels, starts, axis=axis)
-            pixels = sums / counts.reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+        if factor > 1 and size > 1:
+            fill = -size % factor
+            if fill:
+                last = pixels[-1:] if axis == 0 else pixels[:, -1:]
+                pixels = np.concatenate([pixels] + [last] * fill, axis=axis)
+            pieces = [pixels[k::factor] if axis == 0 else pixels[:, k::factor] for k in range(factor)]
+            pixels = sum(pieces[1:], pieces[0]) / np.float32(factor)
     return pixels
 
 
@@ -57,16 +62,13 @@ class Pyramid:
     is_packed: bool = False
 
     @staticmethod
-    def build(pixels: np.ndarray, is_packed: bool = False) -> "Pyramid":
+    def build(pixels: np.ndarray, is_packed: bool = False) -> Pyramid:
         """From (H, W, 4) float32 linear colour times coverage, bottom row first."""
-        height, width = pixels.shape[:2]
-        shrink = max(1.0, max(height, width) / _BASE_PX)
-        levels = [_box_mean(pixels, max(1, round(height / shrink)), max(1, round(width / shrink)))]
+        levels = [_box_mean(pixels, -(-max(pixels.shape[:2]) // _BASE_PX))]
         while levels[-1].shape[0] > 1 or levels[-1].shape[1] > 1:
-            h, w = levels[-1].shape[:2]
-            levels.append(_box_mean(levels[-1], (h + 1) // 2, (w + 1) // 2))
-        # the coarsest level is the mean of all texels, not of unequal boxes
-        levels[-1] = pixels.mean((0, 1), dtype=np.float64).astype(np.float32).reshape(1, 1, 4)
+            levels.append(_box_mean(levels[-1], 2))
+        # the coarsest level is the mean of all texels, without those that filled boxes at an edge
+        levels[-1] = levels[0].mean((0, 1), dtype=np.float64).astype(np.float32).reshape(1, 1, 4)
         heights, widths = (np.array([level.shape[axis] for level in levels]) for axis in (0, 1))
         starts = np.concatenate([[0], np.cumsum(heights * widths)[:-1]])
         return Pyramid(np.concatenate([level.reshape(-1, 4) for level in levels]), starts, heights, widths, is_packed)
@@ -133,7 +135,8 @@ def read_pyramid(image: bpy.types.Image) -> Pyramid | None:
     pixels = np.nan_to_num(flat.reshape(height, width, channels)[::stride, ::stride], posinf=0.0, neginf=0.0)
     colour = pixels[..., :3] if channels >= 3 else np.repeat(pixels[..., :1], 3, axis=-1)
     if not _is_linear(image):
-        colour = srgb_to_linear(colour)
+        # only byte images get here, so the table is exact
+        colour = _DECODED_BYTES[np.clip(colour * 255 + 0.5, 0, 255).astype(np.uint8)]
     alpha = pixels[..., 3:4] if channels == 4 and image.alpha_mode != "NONE" else np.ones_like(colour[..., :1])
     is_packed = image.alpha_mode == "CHANNEL_PACKED"
     # float buffers hold premultiplied colour, byte buffers straight colour
@@ -143,7 +146,7 @@ def read_pyramid(image: bpy.types.Image) -> Pyramid | None:
 
 
 def image_key(image: bpy.types.Image, frame: int) -> tuple:
-    """What a pyramid depends on, without reading a pixel; two equal keys mean equal pixels unless the image is painted on."""
+    """What a pyramid depends on, without reading a pixel; equal keys mean equal pixels unless the image is painted on."""
     source, packed = image.source, image.packed_file
     key: tuple = (image.name_full, source, image.filepath, tuple(image.size), image.channels, image.is_float,
                   image.colorspace_settings.name, image.alpha_mode)

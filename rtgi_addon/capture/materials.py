@@ -43,18 +43,18 @@ class Surface:
     transparent: np.ndarray
 
     @staticmethod
-    def of(diffuse=0.0, specular=0.0, roughness=1.0, emission=0.0, transparent=0.0) -> "Surface":
+    def of(diffuse=0.0, specular=0.0, roughness=1.0, emission=0.0, transparent=0.0) -> Surface:
         """From scalars or arrays that broadcast to (n, 3); `roughness` to (n, 1)."""
         wide = [np.broadcast_to(np.asarray(a, np.float32), (np.shape(a)[0] if np.ndim(a) else 1, 3))
                 for a in (diffuse, specular, emission, transparent)]
         rough = np.asarray(roughness, np.float32) * wide[1].mean(1, keepdims=True)
         return Surface(wide[0], wide[1], rough, wide[2], wide[3])
 
-    def __mul__(self, weight: np.ndarray) -> "Surface":
+    def __mul__(self, weight: np.ndarray) -> Surface:
         return Surface(self.diffuse * weight, self.specular * weight, self.rough_specular * weight, self.emission * weight,
                        self.transparent * weight)
 
-    def __add__(self, other: "Surface") -> "Surface":
+    def __add__(self, other: Surface) -> Surface:
         return Surface(self.diffuse + other.diffuse, self.specular + other.specular,
                        self.rough_specular + other.rough_specular, self.emission + other.emission,
                        self.transparent + other.transparent)
@@ -101,8 +101,8 @@ class SurfaceReader:
         read = getattr(self, "node_" + node.type.lower(), None)
         if read is None:
             # an unknown closure reflects what its colour says
-            socket = self.values.socket(node, "Color") or self.values.socket(node, "Base Color")
-            return Surface.of() if socket is None else Surface.of(diffuse=np.clip(self.values.colour(node, socket.identifier), 0, 1))
+            names = [name for name in ("Color", "Base Color") if self.values.socket(node, name) is not None]
+            return Surface.of(diffuse=self._albedo(node, names[0])) if names else Surface.of()
         return read(node)
 
     def _albedo(self, node: bpy.types.Node, name: str = "Color") -> np.ndarray:
@@ -178,7 +178,6 @@ class SurfaceReader:
             self.found.add("subsurface")
         # the specular level scales the reflectance at normal incidence, with 0.5 as the neutral value
         f0 = np.clip(normal_reflectance(values.scalar(node, "IOR")) * 2 * values.scalar(node, "Specular IOR Level"), 0, 1)
-        # what the specular layer takes from the diffuse one: Schlick's reflectance averaged over the cosine-weighted hemisphere
         taken = mean_reflectance(f0, roughness)
         diffuse = base * (1 - metallic) * (1 - transmission) * (1 - taken)
         specular = base * metallic + (1 - metallic) * f0 * tint
@@ -223,6 +222,8 @@ class MaterialTable:
         What each material's surface depends on besides points: equal traces shade equally.
     needs : tuple of frozenset
         Point data that each material's surface varies with: empty for an even one.
+    is_stepped : tuple of bool
+        Whether a threshold or ramp shades the material, so that means over texels have to come after it.
     warnings : tuple of str
         One line for each thing that is not modelled, naming the material.
     evaluated : tuple
@@ -233,6 +234,7 @@ class MaterialTable:
     index: dict[int, int]
     traces: tuple[tuple, ...]
     needs: tuple[frozenset, ...]
+    is_stepped: tuple[bool, ...]
     warnings: tuple[str, ...]
     evaluated: tuple[bpy.types.Material | None, ...] = field(repr=False)
 
@@ -280,28 +282,70 @@ def _to_material(name: str, surface: Surface) -> Material:
     def colour(values: np.ndarray) -> tuple[float, float, float]:
         return tuple(float(v) for v in values.mean(0))
 
-    return Material(name, colour(surface.diffuse), colour(surface.specular), float(surface.roughness.mean()),
+    # the roughness is that of the specular light, as in the surface itself
+    weight = surface.specular.mean()
+    roughness = float(surface.rough_specular.mean() / weight) if weight > 1e-6 else 1.0
+    return Material(name, colour(surface.diffuse), colour(surface.specular), roughness,
                     colour(np.maximum(surface.emission, 0)), float(np.clip(1 - surface.transparent.mean(), 0, 1)))
 
 
-def read_materials(depsgraph: bpy.types.Depsgraph, images: ImageCache | None = None) -> MaterialTable:
+class _UnitSquare:
+    """Points spread evenly over the unit square of every texture layer: what a mean over textures is taken of."""
+
+    _CELLS = 24
+
+    def __init__(self) -> None:
+        # one small triangle somewhere in each cell; fixed numbers, so that a scene reads the same each time
+        random = np.random.default_rng(0)
+        corner = np.stack(np.meshgrid(np.arange(self._CELLS), np.arange(self._CELLS)), -1).reshape(-1, 1, 2)
+        inside = random.uniform(0, 1, (len(corner), 1, 2)) / 2 + np.array([[0, 0], [0.5, 0], [0, 0.5]])
+        flat = ((corner + inside) / self._CELLS).reshape(-1, 2)
+        self._uv = np.concatenate([flat, np.zeros((len(flat), 1))], 1).astype(np.float32)
+
+    def uv(self, name: str) -> np.ndarray | None:
+        return self._uv
+
+    def attribute(self, name: str) -> np.ndarray | None:
+        return None
+
+
+class MaterialCache:
+    """What stays between frames: the images' pyramids and, for each trace, the material that it gave."""
+
+    def __init__(self) -> None:
+        self.images = ImageCache()
+        self.materials: dict[tuple, Material] = {}
+
+
+def read_materials(depsgraph: bpy.types.Depsgraph, cache: MaterialCache | None = None) -> MaterialTable:
     """Constants, or means of textures, of every material that the evaluated scene shows.
 
-    `images` keeps what was read of textures for the next frame. The order is the same for equal scenes: by name.
+    `cache` keeps what was read of textures for the next frame. The order is the same for equal scenes: by name.
     """
-    images = images or ImageCache()
-    images.begin(depsgraph.scene.frame_current)
-    materials, traces, needs, warnings = [], [], [], []
+    cache = cache or MaterialCache()
+    cache.images.begin(depsgraph.scene.frame_current)
+    kept: dict[tuple, Material] = {}
+    materials, traces, needs, stepped, warnings = [], [], [], [], []
     used = used_materials(depsgraph)
     for material in (None, *used):
-        reader = SurfaceReader(images)
+        reader = SurfaceReader(cache.images)
         name = material.name_full if material else "(no material)"
-        materials.append(_to_material(name, reader.material(material)))
-        traces.append(tuple(reader.values.trace))
+        surface = reader.material(material)
+        trace = tuple(reader.values.trace)
+        found = cache.materials.get((name, trace))
+        if found is None:
+            if any(kind == "uv" for kind, _ in reader.values.needs):
+                surface = SurfaceReader(cache.images, _UnitSquare()).material(material)
+            found = _to_material(name, surface)
+        kept[name, trace] = found
+        materials.append(found)
+        traces.append(trace)
         needs.append(frozenset(reader.values.needs))
+        stepped.append(reader.values.is_stepped)
         warnings += [f"material {name!r}: {_NOT_MODELLED[what]}" for what in sorted(reader.found)]
+    cache.materials = kept
     return MaterialTable(tuple(materials), {m.as_pointer(): k for k, m in enumerate(used, 1)}, tuple(traces), tuple(needs),
-                         tuple(warnings), (None, *used))
+                         tuple(stepped), tuple(warnings), (None, *used))
 
 
 def number_materials(depsgraph: bpy.types.Depsgraph, table: MaterialTable) -> None:

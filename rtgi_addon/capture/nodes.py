@@ -54,6 +54,10 @@ def _safe_divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where(b != 0, a / np.where(b != 0, b, 1), 0)
 
 
+def _safe_modulo(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.where(b != 0, np.fmod(a, np.where(b != 0, b, 1)), 0)
+
+
 def _safe_power(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"):
         return np.nan_to_num(np.power(a, b), posinf=0.0, neginf=0.0)
@@ -67,10 +71,12 @@ _MATH: dict[str, Callable[..., np.ndarray]] = {
     "MAXIMUM": lambda a, b, c: np.maximum(a, b), "LESS_THAN": lambda a, b, c: (a < b).astype(np.float32),
     "GREATER_THAN": lambda a, b, c: (a > b).astype(np.float32), "ROUND": lambda a, b, c: np.floor(a + 0.5),
     "FLOOR": lambda a, b, c: np.floor(a), "CEIL": lambda a, b, c: np.ceil(a), "TRUNC": lambda a, b, c: np.trunc(a),
-    "FRACT": lambda a, b, c: a - np.floor(a), "MODULO": lambda a, b, c: np.where(b != 0, np.fmod(a, np.where(b != 0, b, 1)), 0),
+    "FRACT": lambda a, b, c: a - np.floor(a), "MODULO": lambda a, b, c: _safe_modulo(a, b),
     "SIGN": lambda a, b, c: np.sign(a), "SINE": lambda a, b, c: np.sin(a), "COSINE": lambda a, b, c: np.cos(a),
     "EXPONENT": lambda a, b, c: np.exp(np.minimum(a, 80)),
 }
+
+_STEPS = {"LESS_THAN", "GREATER_THAN", "ROUND", "FLOOR", "CEIL", "TRUNC", "FRACT", "MODULO", "SIGN", "POWER"}
 
 _VECTOR_MATH: dict[str, Callable[..., np.ndarray]] = {
     name: _MATH[name] for name in ("ADD", "SUBTRACT", "MULTIPLY", "DIVIDE", "MULTIPLY_ADD", "ABSOLUTE", "MINIMUM", "MAXIMUM",
@@ -126,6 +132,8 @@ class NodeReader:
         Point data the tree asks for: ("uv", layer) and ("attribute", name).
     is_constant : bool
         False once a texture, an attribute or an unknown node was met.
+    is_stepped : bool
+        True once a node was met whose mean is not its value at the mean input: thresholds and ramps.
     found : set of str
         Node types met, for warnings.
     """
@@ -135,6 +143,7 @@ class NodeReader:
         self.trace: list[Any] = []
         self.needs: set[tuple[str, str]] = set()
         self.is_constant = True
+        self.is_stepped = False
         self.found: set[str] = set()
         self._groups: list[bpy.types.Node] = []
         self._known: dict[tuple, np.ndarray | None] = {}
@@ -169,7 +178,10 @@ class NodeReader:
         return value
 
     def follow(self, socket: bpy.types.NodeSocket, read: Callable[[bpy.types.NodeSocket], Any]) -> Any:
-        """`read(output socket)` of what is linked to an input, through reroutes, groups and muted nodes; None for no link."""
+        """`read(output socket)` of what is linked to an input, seen through reroutes, groups and muted nodes.
+
+        None if nothing is linked.
+        """
         links = socket.links if socket.is_linked else ()
         if not links or links[0].is_muted or not links[0].is_valid:
             return None
@@ -181,9 +193,9 @@ class NodeReader:
         if node.type == "REROUTE":
             return self.follow(node.inputs[0], read)
         if node.type == "GROUP":
-            end = node.node_tree and next((n for n in node.node_tree.nodes if n.type == "GROUP_OUTPUT" and n.is_active_output),
-                                          None)
-            inner = end and self.socket(end, output.identifier)
+            inside = node.node_tree.nodes if node.node_tree else ()
+            ends = [n for n in inside if n.type == "GROUP_OUTPUT" and n.is_active_output]
+            inner = self.socket(ends[0], output.identifier) if ends else None
             if not inner:
                 return None
             self._groups.append(node)
@@ -335,7 +347,8 @@ class NodeReader:
         if node.clamp_factor:
             factor = np.clip(factor, 0, 1)
         read = self.scalar if kind == "Float" else self.colour
-        mixed = self._blend(node.blend_type if kind == "Color" else "MIX", factor, read(node, "A_" + kind), read(node, "B_" + kind))
+        blend = node.blend_type if kind == "Color" else "MIX"
+        mixed = self._blend(blend, factor, read(node, "A_" + kind), read(node, "B_" + kind))
         return np.clip(mixed, 0, 1) if kind == "Color" and node.clamp_result else mixed
 
     def node_mix_rgb(self, node, output):
@@ -353,6 +366,7 @@ class NodeReader:
         self._noted(node.operation, node.use_clamp)
         if node.operation not in _MATH:
             return None
+        self.is_stepped |= node.operation in _STEPS
         operands = [_grey(self.read(socket)) for socket in node.inputs]
         operands += [np.zeros((1, 1), np.float32)] * (3 - len(operands))
         value = _MATH[node.operation](*operands)
@@ -424,6 +438,7 @@ class NodeReader:
 
     def node_valtorgb(self, node, output):
         ramp = node.color_ramp
+        self.is_stepped = True
         self._noted(ramp.color_mode, ramp.interpolation, ramp.hue_interpolation,
                     tuple((element.position, *element.color) for element in ramp.elements))
         factor = np.clip(self.scalar(node, "Fac"), 0, 1)
@@ -448,6 +463,7 @@ class NodeReader:
         value, low, high, to_low, to_high = (self.scalar(node, name)
                                              for name in ("Value", "From Min", "From Max", "To Min", "To Max"))
         t = _safe_divide(value - low, high - low)
+        self.is_stepped = True
         kind = node.interpolation_type
         if kind == "STEPPED":
             steps = self.scalar(node, "Steps")
