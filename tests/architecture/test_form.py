@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -31,10 +33,9 @@ VIOLATIONS = [
 
 
 def tracked_texts() -> list[Path]:
-    """Text files that git tracks, or every one of the checkout where there is no git (an unpacked archive)."""
-    run = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
-    if run.returncode == 0:
-        names = run.stdout.split("\0")[:-1]
+    """Text files that git tracks, or all of the checkout but hidden folders where there is no git to ask."""
+    if shutil.which("git") and (ROOT / ".git").exists():
+        names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True).stdout.split("\0")[:-1]
     else:
         below = [p.relative_to(ROOT) for p in ROOT.rglob("*")]
         names = [str(p) for p in below if not any(part.startswith(".") for part in p.parts)]
@@ -81,20 +82,4 @@ def test_every_registered_technique_has_an_oracle_test():
     from rtgi_addon.core.techniques import TECHNIQUE_PARAMS
 
     tests = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "tests" / "oracle").glob("test_*.py"))
-    assert [name for name in TECHNIQUE_PARAMS if f"passes.{name}" not in tests] == []
-
-
-def test_every_local_link_in_the_documents_leads_to_a_file():
-    import re
-
-    dead = []
-    for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]:
-        for link in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
-            if not (page.parent / link).exists():
-                dead.append(f"{page.name}: {link}")
-    assert dead == []
-
-
-def test_contributing_stays_short():
-    # a page that is read is worth more than a page that is complete
-    assert len((ROOT / "CONTRIBUTING.md").read_text().splitlines()) <= 150
+    assert [name for name in TECHNIQUE_PARAMS if not re.search(rf"passes\.{name}\b|passes import .*\b{name}\b", tests)] == []
