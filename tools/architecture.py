@@ -17,7 +17,8 @@ PACKAGE = "rtgi_addon"
 
 # modules that exist only inside Blender
 BLENDER = frozenset({
-    "bpy", "bpy_extras", "bl_ui", "bl_ext", "bmesh", "cycles", "gpu", "mathutils", "OpenImageIO", "PyOpenColorIO"})
+    "bl_ext", "bl_ui", "blf", "bmesh", "bpy", "bpy_extras", "cycles", "gpu", "imbuf", "mathutils", "OpenImageIO",
+    "PyOpenColorIO"})
 
 # Who may import what beside the standard library. The longest matching prefix of the importing module decides; a module
 # that no line matches may import nothing, so a new file at the top must be entered here on purpose. An entry "x" allows x
@@ -42,7 +43,8 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
         "numpy", "rtgi_addon", "rtgi_addon.compare", "rtgi_addon.composite", "rtgi_addon.core", "rtgi_addon.errors",
         "rtgi_addon.frameio", "rtgi_addon.imageio", "rtgi_addon.passes", "rtgi_addon.pipeline", "rtgi_addon.planner"}),
     "compare.reference": BLENDER | {
-        "numpy", "rtgi_addon.capture", "rtgi_addon.compare", "rtgi_addon.core", "rtgi_addon.engine", "rtgi_addon.errors"},
+        "numpy", "rtgi_addon.capture", "rtgi_addon.compare", "rtgi_addon.core", "rtgi_addon.engine", "rtgi_addon.errors",
+        "rtgi_addon.imageio", "rtgi_addon.ui.props"},
     "capture": BLENDER | {
         "numpy", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.errors", "rtgi_addon.kernels",
         "rtgi_addon.light_views"},
