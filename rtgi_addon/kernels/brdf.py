@@ -76,14 +76,15 @@ def _albedos(steps, quadrature, least_alpha):
 
 
 @functools.cache
-def _albedo_table() -> np.ndarray:
+def albedo_table() -> np.ndarray:
+    """(GAIN_STEPS, GAIN_STEPS, 2) float32: the lobe's albedo without Fresnel and by Fresnel's rise, over cosine and alpha."""
     return _albedos(GAIN_STEPS, _QUADRATURE, _LEAST_ALPHA)
 
 
 def _albedos_at(cos_fixed: np.ndarray, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     row = np.clip((cos_fixed * GAIN_STEPS).astype(np.int32), 0, GAIN_STEPS - 1)
     column = np.clip((alpha * GAIN_STEPS).astype(np.int32), 0, GAIN_STEPS - 1)
-    both = _albedo_table()[row, column]
+    both = albedo_table()[row, column]
     return both[..., 0], both[..., 1]
 
 
@@ -102,3 +103,15 @@ def normal_reflectance(reflectance: np.ndarray, cos_fixed: np.ndarray, alpha: np
     flat, rise = _albedos_at(cos_fixed, alpha)
     r = np.minimum(rise / np.maximum(flat, 1e-3), 0.95)
     return np.clip((reflectance - r) / (1 - r), 0.02, 1).astype(np.float32)
+
+
+@device_jit
+def fit_lobe(reflectance, cos_fixed, alpha, albedos):
+    """(F0, gain) of a lobe whose reflectance towards `fixed` is known; kernels' form of the two functions above."""
+    row = min(max(int(cos_fixed * f32(GAIN_STEPS)), 0), GAIN_STEPS - 1)
+    column = min(max(int(alpha * f32(GAIN_STEPS)), 0), GAIN_STEPS - 1)
+    flat, rise = albedos[row, column, 0], albedos[row, column, 1]
+    r = min(rise / max(flat, f32(1e-3)), f32(0.95))
+    f0 = min(max((reflectance - r) / (ONE - r), f32(0.02)), ONE)
+    at_fixed = schlick(min(max(cos_fixed, f32(0.02)), ONE), f0)
+    return f0, at_fixed / max(f0 * flat + (ONE - f0) * rise, f32(0.02) * at_fixed)

@@ -1,8 +1,8 @@
 """Texels of reflective shadow maps as one table, grouped into clusters that stand for them at a distance.
 
-The texel table is (16, N) float32, N innermost: position (3), normal (3), diffuse reflected flux W (3), unit direction to
+The texel table is (17, N) float32, N innermost: position (3), normal (3), diffuse reflected flux W (3), unit direction to
 the light (3), glossy reflected flux W (3, the lobe's gain in it), GGX alpha squared (NO_LOBE marks a texel without a
-glossy lobe). Each cluster is a contiguous run of columns.
+glossy lobe), Schlick's F0 of the lobe. Each cluster is a contiguous run of columns.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import GAIN_STEPS
+from .brdf import fit_lobe
 from .jit import device_jit, pixel_jit, prange
 from .vec3 import ONE, ZERO, dot, f32, load_pixel, normalized_or, sub
 
 # rows of the texel table
-POSITION, NORMAL, DIFFUSE, TO_LIGHT, GLOSSY, ALPHA2 = 0, 3, 6, 9, 12, 15
-ROWS = 16
+POSITION, NORMAL, DIFFUSE, TO_LIGHT, GLOSSY, ALPHA2, F0 = 0, 3, 6, 9, 12, 15, 16
+ROWS = 17
 NO_LOBE = f32(2)
 # rows of the cluster table
-C_POSITION, C_NORMAL, C_DIFFUSE, C_RADIUS2, C_TO_LIGHT, C_GLOSSY, C_ALPHA2 = 0, 3, 6, 7, 8, 11, 12
-CLUSTER_ROWS = 13
+C_POSITION, C_NORMAL, C_DIFFUSE, C_RADIUS2, C_TO_LIGHT, C_GLOSSY, C_ALPHA2, C_SPREAD, C_F0 = 0, 3, 6, 7, 8, 11, 12, 13, 14
+CLUSTER_ROWS = 15
 MIN_ALPHA = f32(0.1)        # sharper lobes are widened: in a gather their noise costs more than their blur
 LOBE_SHARE = f32(1e-3)      # a glossy lobe below this share of the texel's flux is dropped
 NORMAL_WEIGHT = 0.15        # how far apart in scene sizes two opposite normals count, when clusters are split
@@ -31,8 +31,9 @@ NORMAL_WEIGHT = 0.15        # how far apart in scene sizes two opposite normals 
 class Clusters(NamedTuple):
     """Texels in cluster order and their means, as the gather takes them.
 
-    texels (16, N) float32; table (13, C) float32: mean position, mean unit normal, mean diffuse flux (summed), largest
-    squared distance of a texel, mean direction to the light, mean glossy flux, alpha squared widened by the spread;
+    texels (17, N) float32; table (15, C) float32: mean position, mean unit normal, mean diffuse flux (summed), largest
+    squared distance of a texel, mean direction to the light, mean glossy flux, alpha squared widened by the spread,
+    largest difference of a texel's normal to the mean, mean F0;
     start, end (C,) int64: the columns of each cluster; running (N + 1,) float64: flux summed over the columns before.
     """
 
@@ -54,7 +55,7 @@ def _reflects(albedo, specular, flux, i, j, use_glossy):
 
 @pixel_jit
 def fill_texels(table, offset, first, position, normal, albedo, specular, roughness, flux, light_position, to_sun,
-                is_sun, gains, use_glossy):
+                is_sun, albedos, use_glossy):
     """Write the lit texels of one view to columns `offset` + first[row] + ... of `table`, row by row of the image."""
     height, width = roughness.shape
     for i in prange(height):
@@ -66,7 +67,7 @@ def fill_texels(table, offset, first, position, normal, albedo, specular, roughn
             w = to_sun if is_sun else normalized_or(sub(light_position, p), n)
             alpha = min(max(roughness[i, j] * roughness[i, j], MIN_ALPHA), ONE)
             cosine = min(max(dot(n, w), ZERO), f32(0.999))
-            gain = gains[int(cosine * f32(GAIN_STEPS)), min(int(alpha * f32(GAIN_STEPS)), GAIN_STEPS - 1)]
+            f0, gain = fit_lobe((specular[i, j, 0] + specular[i, j, 1] + specular[i, j, 2]) * f32(1 / 3), cosine, alpha, albedos)
             diffuse, glossy = ZERO, ZERO
             for a in range(3):
                 table[DIFFUSE + a, k] = flux[i, j, a] * albedo[i, j, a]
@@ -77,6 +78,7 @@ def fill_texels(table, offset, first, position, normal, albedo, specular, roughn
             table[NORMAL, k], table[NORMAL + 1, k], table[NORMAL + 2, k] = n.x, n.y, n.z
             table[TO_LIGHT, k], table[TO_LIGHT + 1, k], table[TO_LIGHT + 2, k] = w.x, w.y, w.z
             table[ALPHA2, k] = alpha * alpha if glossy > LOBE_SHARE * (diffuse + glossy) else NO_LOBE
+            table[F0, k] = f0
             k += 1
 
 
@@ -240,13 +242,14 @@ def _summarise(T, start, end):
     """The cluster table of texels in cluster order."""
     out = np.zeros((CLUSTER_ROWS, start.shape[0]), np.float32)
     for c in prange(start.shape[0]):
-        px = py = pz = nx = ny = nz = lx = ly = lz = total = diffuse = glossy = alpha2 = 0.0
+        px = py = pz = nx = ny = nz = lx = ly = lz = total = diffuse = glossy = alpha2 = f0 = 0.0
         for k in range(start[c], end[c]):
             d = np.float64(T[DIFFUSE, k]) + T[DIFFUSE + 1, k] + T[DIFFUSE + 2, k]
             g = np.float64(T[GLOSSY, k]) + T[GLOSSY + 1, k] + T[GLOSSY + 2, k]
             w = d + g
             total, diffuse, glossy = total + w, diffuse + d, glossy + g
             alpha2 += g * min(T[ALPHA2, k], ONE)
+            f0 += g * T[F0, k]
             px, py, pz = px + w * T[0, k], py + w * T[1, k], pz + w * T[2, k]
             nx, ny, nz = nx + w * T[NORMAL, k], ny + w * T[NORMAL + 1, k], nz + w * T[NORMAL + 2, k]
             lx, ly, lz = lx + w * T[TO_LIGHT, k], ly + w * T[TO_LIGHT + 1, k], lz + w * T[TO_LIGHT + 2, k]
@@ -258,19 +261,23 @@ def _summarise(T, start, end):
             nx * inv / n_length, ny * inv / n_length, nz * inv / n_length)
         out[C_TO_LIGHT, c], out[C_TO_LIGHT + 1, c], out[C_TO_LIGHT + 2, c] = (
             lx * inv / l_length, ly * inv / l_length, lz * inv / l_length)
-        radius2 = ZERO
+        radius2, spread2 = ZERO, ZERO
         for k in range(start[c], end[c]):
             dx, dy, dz = T[0, k] - out[0, c], T[1, k] - out[1, c], T[2, k] - out[2, c]
             radius2 = max(radius2, dx * dx + dy * dy + dz * dz)
-        out[C_RADIUS2, c] = radius2
+            ex, ey = T[NORMAL, k] - out[C_NORMAL, c], T[NORMAL + 1, k] - out[C_NORMAL + 1, c]
+            ez = T[NORMAL + 2, k] - out[C_NORMAL + 2, c]
+            spread2 = max(spread2, ex * ex + ey * ey + ez * ez)
+        out[C_RADIUS2, c], out[C_SPREAD, c] = radius2, math.sqrt(spread2)
         out[C_DIFFUSE, c], out[C_GLOSSY, c] = diffuse / 3, glossy / 3
         spread = 2 * (2 - n_length - l_length)
         out[C_ALPHA2, c] = min(1.0, alpha2 / max(glossy, 1e-300) + spread)
+        out[C_F0, c] = f0 / max(glossy, 1e-300)
     return out
 
 
 def cluster_texels(table: np.ndarray, number: int, scale_m: float) -> Clusters:
-    """Group the columns of a (16, N) texel table, N >= 1, into at most `number` clusters; `scale_m` is the scene's size."""
+    """Group the columns of a (17, N) texel table, N >= 1, into at most `number` clusters; `scale_m` is the scene's size."""
     feature, weight = _features(table, f32(NORMAL_WEIGHT * scale_m))
     order, start, end = _split_texels(feature, weight, min(number, table.shape[1]))
     texels = _reorder(table, order)

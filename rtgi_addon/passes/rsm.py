@@ -16,13 +16,11 @@ References
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 
 from ..core.frame import Frame, LightKind, LightView
 from ..core.techniques import RsmParams
-from ..kernels.brdf import GAIN_STEPS, lobe_gain
+from ..kernels.brdf import albedo_table
 from ..kernels.clusters import ROWS, cluster_texels, count_texels, fill_texels
 from ..kernels.gather import gather_visible
 from ..kernels.vec3 import f32, vector
@@ -34,16 +32,8 @@ RAY_OFFSET = 2e-5           # of the scene's size: both ends of a shadow ray are
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
-@functools.cache
-def _gains() -> np.ndarray:
-    """(GAIN_STEPS, GAIN_STEPS) float32 gains of a dielectric's lobe, at the middles of the cells of cosine and alpha."""
-    middle = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
-    cosine, alpha = np.meshgrid(middle, middle, indexing="ij")
-    return lobe_gain(cosine.ravel(), alpha.ravel()).reshape(GAIN_STEPS, GAIN_STEPS).astype(np.float32)
-
-
 def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
-    """(16, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture."""
+    """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture."""
     counted = [(view, count_texels(view.gbuffer.albedo, view.gbuffer.specular, view.incident_flux, use_glossy))
                for view in frame.views]
     table = np.empty((ROWS, sum(int(count.sum()) for _, count in counted)), np.float32)
@@ -53,7 +43,7 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
         first = np.cumsum(count) - count
         fill_texels(table, offset, first, g.position_ws, g.normal_ws, g.albedo, g.specular, g.roughness,
                     view.incident_flux, vector(light.position_ws), vector(-light.direction_ws),
-                    light.kind is LightKind.SUN, _gains(), use_glossy)
+                    light.kind is LightKind.SUN, albedo_table(), use_glossy)
         offset += int(count.sum())
     return table
 
