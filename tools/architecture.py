@@ -43,8 +43,8 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
         "numpy", "rtgi_addon", "rtgi_addon.compare", "rtgi_addon.composite", "rtgi_addon.core", "rtgi_addon.errors",
         "rtgi_addon.frameio", "rtgi_addon.imageio", "rtgi_addon.passes", "rtgi_addon.pipeline", "rtgi_addon.planner"}),
     "compare.reference": BLENDER | {
-        "numpy", "rtgi_addon.capture", "rtgi_addon.compare", "rtgi_addon.core", "rtgi_addon.engine", "rtgi_addon.errors",
-        "rtgi_addon.imageio", "rtgi_addon.ui.props"},
+        "numpy", "rtgi_addon.blendfile", "rtgi_addon.capture", "rtgi_addon.compare", "rtgi_addon.core", "rtgi_addon.engine",
+        "rtgi_addon.errors", "rtgi_addon.imageio", "rtgi_addon.ui.props"},
     "capture": BLENDER | {
         "numpy", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.errors", "rtgi_addon.kernels",
         "rtgi_addon.light_views"},
