@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tomllib
@@ -14,6 +15,32 @@ import pytest
 import rtgi_addon
 
 ROOT = Path(__file__).resolve().parent.parent.parent
+# installs the zip into an empty user folder, switches it on, off and on again, removes it; prints what it saw after each
+LIFE = """
+import sys, bpy
+
+def look():
+    settings = hasattr(bpy.types.Scene, "rtgi")
+    names = [getattr(c, "bl_idname", "") for c in bpy.types.RenderEngine.__subclasses__() if c.is_registered]
+    panels = [n for n in dir(bpy.types) if n.startswith("RTGI_PT")]
+    return f"SEEN {settings} {names.count('RTGI')} {bool(panels)}"
+
+bpy.ops.extensions.package_install_files(repo="user_default", filepath=sys.argv[1], enable_on_install=True)
+print(look())
+name = "bl_ext.user_default.rtgi"
+bpy.ops.preferences.addon_disable(module=name)
+print(look())
+bpy.ops.preferences.addon_enable(module=name)
+print(look())
+print("NUMBA", "numba" in sys.modules)
+bpy.ops.extensions.package_uninstall(repo_index=[r.module for r in bpy.context.preferences.extensions.repos].index(
+    "user_default"), pkg_id="rtgi")
+print(look())
+sys.stdout.flush()
+import os
+os._exit(0)
+"""
+
 ALLOWED_AT_ROOT = {"__init__.py", "blender_manifest.toml", "CHANGELOG.md", "LICENSE", "README.md"}
 
 
@@ -66,6 +93,17 @@ def test_zip_holds_nothing_but_the_add_on(archive):
 
 def test_zip_holds_no_leftovers_of_python(archive):
     assert [n for n in archive.namelist() if "__pycache__" in n or n.endswith((".pyc", ".nbi", ".nbc"))] == []
+
+
+def test_zip_lives_through_install_disable_enable_and_removal(archive, tmp_path):
+    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(tmp_path)}
+    run = subprocess.run([sys.executable, "-c", LIFE, archive.filename], env=environment, capture_output=True, text=True,
+                         cwd=tmp_path, timeout=120)
+    lines = run.stdout.splitlines()
+    on, off = "SEEN True 1 True", "SEEN False 0 False"
+    assert [line for line in lines if line.startswith("SEEN")] == [on, off, on, off], run.stdout + run.stderr
+    assert "NUMBA False" in lines            # switching the add-on on costs nobody's start half a second
+    assert list(tmp_path.rglob("rtgi*")) == []
 
 
 def test_manifest_and_package_name_one_version():

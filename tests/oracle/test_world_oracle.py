@@ -16,8 +16,8 @@ from rtgi_addon.passes.world import compute_world
 
 DIRECTIONS = (120, 240)     # rows and columns of the oracle's grid: 1.5 degrees, its own error is below 0.3 %
 RAYS = 1024
-# rms at a point and difference of the mean, relative to the mean. An eighth of the sky is open from the room; over four seeds
-# 1024 rays left 1.0 to 1.3 % and 0.4 % with a constant sky, 3.9 to 4.8 % and 0.7 % with one bright texel.
+# rms at a point and difference of the mean, relative to the mean. An eighth of the sky is open from the room; over four
+# seeds 1024 rays left 1.0 to 1.3 % and 0.4 % with a constant sky, 3.9 to 4.8 % and 0.7 % with one bright texel.
 POINT_TOLERANCE = {"constant": 0.02, "map": 0.06}
 MEAN_TOLERANCE = 0.01
 
