@@ -26,7 +26,7 @@ NEAR = f32(0.1)             # half size over distance above which an area light 
 TINY = f32(0.004)           # half size over distance below which the centre stands for the shape
 GAUSS = f32(0.57735027)     # node of the two-point Gauss rule on [-1, 1]
 POLYGON = 16                # sides of the polygon that stands for an ellipse; of equal area, 0.03 % at most
-AREA_SAMPLES = 32           # of the sums that have no closed form
+AREA_SAMPLES = 64           # of the sums that have no closed form
 LEAST_ALPHA = f32(0.006)    # sharper lobes are below float32's resolution of the half vector
 
 
@@ -197,10 +197,14 @@ def _polygon_irradiance(lamp, p, n):
 
 @device_jit
 def _part_above(height, size):
-    """Mean of max(height + size x, 0) over the unit disk for |height| <= size: a lamp that sets behind the surface."""
+    """Mean of max(cosine, 0) over a disk of radius `size` at distance 1 whose centre has the cosine `height` <= size.
+
+    The integral of height + size x over the part of the unit disk where it is positive; 3/5 is the mean square radius of
+    that part, which makes the directions longer than 1.
+    """
     a = height / size
     root = math.sqrt(max(ONE - a * a, ZERO))
-    return size * (a * (PI - math.acos(a)) + root * (f32(2) + a * a) / f32(3)) / PI
+    return size / math.sqrt(ONE + f32(0.6) * size * size) * (a * (PI - math.acos(a)) + root * (f32(2) + a * a) / f32(3)) / PI
 
 
 @device_jit

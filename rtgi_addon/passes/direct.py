@@ -235,23 +235,28 @@ def _add(q, diffuse, glossy, colours, pixels, out):
     out.does[q] += colours[6] * diffuse
 
 
+@device_jit
+def _light_at_pixel(q, lamp, colours, pixels, salt, shadow_map, test, out):
+    """Add the unshadowed light if nothing stands between; returns what the map says: LIT, DARK or ASK."""
+    p, n = load(pixels.position, q), load(pixels.normal, q)
+    viewer, _ = _viewer(pixels, p)
+    diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
+    if diffuse <= ZERO and glossy <= ZERO:
+        return shadow.DARK
+    out.could[q] += colours[6] * diffuse
+    answer = shadow.LIT if test == NONE else shadow.ASK
+    if test == MAP:
+        answer = shadow.classify(shadow_map, p, pixels.error[q])
+    if answer == shadow.LIT:
+        _add(q, diffuse, glossy, colours, pixels, out)
+    return answer
+
+
 @pixel_jit
 def _light_pixels(index, lamp, colours, pixels, salt, shadow_map, test, out, state):
-    """Add the unshadowed light where nothing stands between; `state` tells which pixels that is not known of."""
+    """`_light_at_pixel` for the pixels of `index`; its answers into `state`."""
     for k in prange(len(index)):
-        q = index[k]
-        p, n = load(pixels.position, q), load(pixels.normal, q)
-        viewer, _ = _viewer(pixels, p)
-        diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
-        state[q] = shadow.DARK
-        if diffuse > ZERO or glossy > ZERO:
-            out.could[q] += colours[6] * diffuse
-            answer = shadow.LIT if test == NONE else shadow.ASK
-            if test == MAP:
-                answer = shadow.classify(shadow_map, p, pixels.error[q])
-            state[q] = answer
-            if answer == shadow.LIT:
-                _add(q, diffuse, glossy, colours, pixels, out)
+        state[index[k]] = _light_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, test, out)
 
 
 @device_jit
@@ -321,6 +326,17 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, s
     return share, (glossy_seen / glossy_all if glossy_all > ZERO else share)
 
 
+@device_jit
+def _trace_at_pixel(q, lamp, colours, pixels, salt, bvh, stack, rays, out):
+    p, n = load(pixels.position, q), load(pixels.normal, q)
+    viewer, distance = _viewer(pixels, p)
+    diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
+    start, side = _ray_start(bvh, stack, p, n, viewer, distance, pixels.error[q])
+    share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, pixels.alpha[q], pixels.f0[q], rays,
+                                       uniform(q, 2, salt), uniform(q, 3, salt))
+    _add(q, diffuse * share, glossy * glossy_share, colours, pixels, out)
+
+
 @pixel_jit
 def _trace_pixels(index, lamp, colours, pixels, salt, bvh, rays, out):
     """Add the light that rays find at the pixels of `index`."""
@@ -328,26 +344,23 @@ def _trace_pixels(index, lamp, colours, pixels, salt, bvh, rays, out):
     for block in prange(blocks):
         stack = np.empty(STACK, np.int32)
         for k in range(block * BLOCK, min((block + 1) * BLOCK, len(index))):
-            q = index[k]
-            p, n = load(pixels.position, q), load(pixels.normal, q)
-            viewer, distance = _viewer(pixels, p)
-            diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
-            start, side = _ray_start(bvh, stack, p, n, viewer, distance, pixels.error[q])
-            share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, pixels.alpha[q], pixels.f0[q],
-                                               rays, uniform(q, 2, salt), uniform(q, 3, salt))
-            _add(q, diffuse * share, glossy * glossy_share, colours, pixels, out)
+            _trace_at_pixel(index[k], lamp, colours, pixels, salt, bvh, stack, rays, out)
+
+
+@device_jit
+def _ask_map_at_pixel(q, lamp, colours, pixels, salt, shadow_map, out):
+    p, n = load(pixels.position, q), load(pixels.normal, q)
+    viewer, _ = _viewer(pixels, p)
+    diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
+    share = shadow.map_visibility(shadow_map, p, pixels.error[q])
+    _add(q, diffuse * share, glossy * share, colours, pixels, out)
 
 
 @pixel_jit
 def _ask_map(index, lamp, colours, pixels, salt, shadow_map, out):
     """Add the light of the pixels of `index` by the map's own four texels: what is left where no rays can be traced."""
     for k in prange(len(index)):
-        q = index[k]
-        p, n = load(pixels.position, q), load(pixels.normal, q)
-        viewer, _ = _viewer(pixels, p)
-        diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
-        share = shadow.map_visibility(shadow_map, p, pixels.error[q])
-        _add(q, diffuse * share, glossy * share, colours, pixels, out)
+        _ask_map_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, out)
 
 
 TECHNIQUE = Technique("direct", "Direct light", DirectParams, compute_direct,

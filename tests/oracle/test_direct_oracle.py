@@ -1,0 +1,63 @@
+"""`passes.direct` against its float64 form: every kind of lamp, with and without size, with shadows, map and rays."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rtgi_addon.core.frame import Light, LightKind
+from rtgi_addon.core.synthetic import make_room_frame
+from rtgi_addon.core.techniques import DirectParams
+from rtgi_addon.passes.base import Context, Transport
+from rtgi_addon.passes.direct import compute_direct
+from tests.oracle import direct_oracle
+from tests.plane_frames import looking, plane_frame
+
+FLOAT32 = 1e-4          # relative: closed forms in float32, and distances of 2 mm at the room's corners
+SOFT_SHARE = 0.01       # relative L1: 256 rays at a pixel of a half shadow, and 330 patches in the oracle
+EDGE_ON = 0.025         # the map does not see the room's walls, sheets without thickness, from a sun straight above
+
+
+def direct(frame, **params):
+    return compute_direct(frame, DirectParams(**params), Context(), 0).light[Transport.DIRECT_DIFFUSE]
+
+
+@pytest.mark.parametrize("kind", LightKind)
+def test_hard_lamp_agrees_at_every_pixel_where_no_shadow_edge_runs(kind):
+    frame = make_room_frame(32, 20, (kind,), 0.0)
+    expected = direct_oracle.image(frame, 16)
+    got = direct(frame)
+    close = np.isclose(got, expected, rtol=2e-3 if kind.is_area else FLOAT32, atol=1e-5 * expected.max())
+    # an area light of 10 cm has half shadows too; 0.5 % of the pixels may lie in them
+    assert close.all(-1).mean() >= (0.97 if kind.is_area else 0.995)
+
+
+@pytest.mark.parametrize("kind", LightKind)
+def test_soft_lamp_agrees_within_the_noise_of_its_rays(kind):
+    frame = make_room_frame(24, 16, (kind,), 0.15)
+    expected = direct_oracle.image(frame, 10)
+    for exact, limit in ((True, SOFT_SHARE), (False, EDGE_ON if kind is LightKind.SUN else SOFT_SHARE)):
+        got = direct(frame, soft_shadow_rays=256, exact_shadows=exact)
+        assert np.abs(got - expected).sum() <= limit * expected.sum()
+
+
+@pytest.mark.parametrize("kind", [LightKind.POINT, LightKind.SPOT, LightKind.SUN])
+def test_rays_at_every_pixel_change_nothing_that_the_map_decided(kind):
+    frame = make_room_frame(64, 48, (kind,), 0.0)
+    np.testing.assert_array_equal(direct(frame), direct(frame, exact_shadows=True))
+
+
+@pytest.mark.parametrize("kind", [LightKind.RECTANGLE, LightKind.DISK])
+@pytest.mark.parametrize("spread_degrees", [20, 60, 120])
+def test_narrow_area_light_agrees_with_its_tube_grid(kind, spread_degrees):
+    light = Light("Area", kind, looking((0.1, 0.2, 2.0), (0, 0, 0)), np.ones(3), size_x_m=0.6, size_y_m=0.4,
+                  spread_rad=np.radians(spread_degrees))
+    frame = dataclasses.replace(plane_frame(light, width=15, height=11, half_m=0.5), geometry=None)
+    expected = direct_oracle.image(frame, 60)
+    got = direct(frame)
+    assert expected.any()
+    # 64 stratified samples a pixel
+    assert np.abs(got - expected).sum() <= 0.04 * expected.sum()
+    np.testing.assert_allclose(got.sum(), expected.sum(), rtol=0.01)
