@@ -129,14 +129,17 @@ def picture_size(scene: bpy.types.Scene) -> tuple[int, int]:
 
 
 def _one_bounce(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int, seed: int, denoise: bool) -> list[_Change]:
-    """Cycles with exactly one indirect bounce, nothing clamped or approximated, samples at the pixels' centres."""
+    """Cycles with exactly one indirect bounce, nothing clamped or approximated, samples at the pixels' centres.
+
+    The filter is a Gaussian, since Cycles takes a box filter as one pixel wide whatever width is set.
+    """
     cycles = scene.cycles
     wanted: dict[str, Any] = {
         "samples": samples, "seed": seed, "use_animated_seed": False, "use_layer_samples": "IGNORE", "time_limit": 0.0,
         "use_adaptive_sampling": False, "use_denoising": denoise,
         "max_bounces": 1, "diffuse_bounces": 1, "glossy_bounces": 1,
         "sample_clamp_direct": 0.0, "sample_clamp_indirect": 0.0, "light_sampling_threshold": 0.0, "blur_glossy": 0.0,
-        "use_fast_gi": False, "use_guiding": False, "pixel_filter_type": "BOX", "filter_width": 0.01,
+        "use_fast_gi": False, "use_guiding": False, "pixel_filter_type": "GAUSSIAN", "filter_width": 0.01,
     }
     if denoise:                                  # the defaults, whatever the file says
         wanted |= {"denoiser": "OPENIMAGEDENOISE", "denoising_input_passes": "RGB_ALBEDO_NORMAL",
@@ -166,15 +169,25 @@ def _render(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, write: bool = Fa
     return time.perf_counter() - start
 
 
-def _file_settings(scene: bpy.types.Scene, path: Path, multilayer: bool) -> list[_Change]:
+@contextlib.contextmanager
+def _writing_exr(scene: bpy.types.Scene, path: Path, multilayer: bool) -> Iterator[None]:
+    """The scene's output is a float32 EXR at `path` for the time of the context."""
     settings, render = scene.render.image_settings, scene.render
-    changes: list[_Change] = [(render, "filepath", str(path)), (render, "use_file_extension", False),
-                              (render, "use_overwrite", True), (render, "use_placeholder", False)]
+    # in the order in which one decides what the next may be; put back in that order too
+    wanted = {"file_format": "OPEN_EXR_MULTILAYER" if multilayer else "OPEN_EXR", "color_mode": "RGBA", "color_depth": "32",
+              "exr_codec": "ZIP", "color_management": "FOLLOW_SCENE"}
     if hasattr(settings, "media_type"):          # Blender 5 asks for the kind of file first
-        changes.append((settings, "media_type", "MULTI_LAYER_IMAGE" if multilayer else "IMAGE"))
-    kind = "OPEN_EXR_MULTILAYER" if multilayer else "OPEN_EXR"
-    return [*changes, (settings, "file_format", kind), (settings, "color_mode", "RGBA"), (settings, "color_depth", "32"),
-            (settings, "exr_codec", "ZIP"), (settings, "color_management", "FOLLOW_SCENE")]
+        wanted = {"media_type": "MULTI_LAYER_IMAGE" if multilayer else "IMAGE", **wanted}
+    before = {name: getattr(settings, name) for name in wanted}
+    with changed([(render, "filepath", str(path)), (render, "use_file_extension", False), (render, "use_overwrite", True),
+                  (render, "use_placeholder", False)]):
+        try:
+            for name, value in wanted.items():
+                setattr(settings, name, value)
+            yield
+        finally:
+            for name, value in before.items():
+                setattr(settings, name, value)
 
 
 def _gathered(path: Path, layer_name: str) -> dict[str, np.ndarray]:
@@ -191,8 +204,8 @@ def _gathered(path: Path, layer_name: str) -> dict[str, np.ndarray]:
 def _half(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, samples: int, seed: int,
           folder: Path) -> dict[str, np.ndarray]:
     path = folder / f"half_{seed}.exr"
-    with changed([*_one_bounce(scene, layer, samples, seed, False), *_passes(layer, PASSES),
-                  *_file_settings(scene, path, True)]):
+    with (changed([*_one_bounce(scene, layer, samples, seed, False), *_passes(layer, PASSES)]),
+          _writing_exr(scene, path, True)):
         _render(scene, layer, write=True)
     found = _gathered(path, layer.name)
     missing = [name for name in PASSES if pass_name(name) not in found]
@@ -207,7 +220,7 @@ def render_reference(scene: bpy.types.Scene, samples: int = 256, size: tuple[int
     """Two independent one-bounce renders by Cycles of `samples` samples a pixel each.
 
     Unbiased: no clamping, denoising, adaptive sampling, light threshold or blurred caustics. All samples of a pixel pass
-    its centre (a box filter of width 0.01), as RTGI's do. Depth of field, motion blur and border are off.
+    its centre (a filter of width 0.01), as RTGI's do. Depth of field, motion blur and border are off.
 
     Raises
     ------
@@ -238,7 +251,7 @@ def render_peer(scene: bpy.types.Scene, samples: int, denoise: bool = True, repe
         _render(scene, layer)
         seconds = tuple(_render(scene, layer) for _ in range(repeats))
         path = Path(folder) / "peer.exr"
-        with changed(_file_settings(scene, path, False)):
+        with _writing_exr(scene, path, False):
             bpy.data.images["Render Result"].save_render(str(path), scene=scene)
         channels = read_exr(path)
     combined = np.stack([channels.get(c, np.ones_like(channels["R"])) for c in "RGBA"], -1)
