@@ -194,7 +194,7 @@ class _Mesh:
             return None
         values = values.reshape(-1, 3, 4)
         values = values if self.chosen is None else values[self.chosen]
-        return (self.points @ values).reshape(-1, 4)
+        return np.einsum("pc,tcv->tpv", self.points, values).reshape(-1, 4)
 
     def uv(self, name: str) -> np.ndarray | None:
         values = self._inside("uv", name)
@@ -231,7 +231,7 @@ def _shade(mesh: _Mesh, slot_materials: tuple[int, ...], table: MaterialTable, i
         mesh.points, fit = _STEPPED if table.is_stepped[k] else _PLAIN
         surface = SurfaceReader(images, mesh).material(table.evaluated[k])
         shape = (len(chosen), len(mesh.points), 3)
-        albedo[where] = np.clip(fit @ _by_triangle(surface.diffuse, shape), 0, 1)
+        albedo[where] = np.clip(np.einsum("cp,tpv->tcv", fit, _by_triangle(surface.diffuse, shape)), 0, 1)
         emission[where] = np.maximum(_by_triangle(surface.emission, shape).mean(1), 0)
         seen = _by_triangle(surface.transparent, shape).mean((1, 2)) < 1 - _INVISIBLE_ALPHA
         keep[where] &= seen | emission[where].any(1)
@@ -280,6 +280,19 @@ def _read_part(source: bpy.types.Object, table: MaterialTable, cache: GeometryCa
             source.to_mesh_clear()
 
 
+def _place(positions: np.ndarray, matrix: np.ndarray, origin_ws: np.ndarray) -> np.ndarray:
+    """(V, 3) float32: `matrix` (4, 4) applied to object space positions, less the origin, computed in float64.
+
+    Written out, because a matrix product of this shape waits for the linear algebra library's threads.
+    """
+    x, y, z = (positions[:, k].astype(np.float64) for k in range(3))
+    placed = np.empty_like(positions)
+    for k in range(3):
+        a, b, c, d = matrix[k]
+        placed[:, k] = a * x + b * y + c * z + (d - origin_ws[k])
+    return placed
+
+
 def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_ws: np.ndarray,
                   cache: GeometryCache | None = None) -> Geometry:
     """Triangles of everything in the evaluated scene that rays can meet, instances included.
@@ -314,9 +327,7 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
         part = parts[key]
         if part is None or not len(part.vertices):
             continue
-        point = part.positions @ matrix[:3, :3].T
-        point += matrix[:3, 3] - origin_ws
-        placed.append(point.astype(np.float32))
+        placed.append(_place(part.positions, matrix, origin_ws))
         vertices.append(part.vertices)
         colours.append(part.colours)
     cache.topologies, cache.colours = kept.topologies, kept.colours

@@ -43,7 +43,9 @@ def node_tree(datablock: bpy.types.ID) -> bpy.types.NodeTree | None:
 
 
 def _grey(colour: np.ndarray) -> np.ndarray:
-    return (colour @ _LUMA)[:, None] if colour.shape[1] == 3 else colour
+    if colour.shape[1] == 1:
+        return colour
+    return colour[:, :1] * _LUMA[0] + colour[:, 1:2] * _LUMA[1] + colour[:, 2:] * _LUMA[2]
 
 
 def _wide(value: np.ndarray) -> np.ndarray:
