@@ -189,9 +189,9 @@ def open_scene(bpy: Any, name: str | None) -> Any:
 
 
 def _one_line(error: BaseException) -> str:
-    """An error's text without line breaks and without Blender's "Error:" in front."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return " ".join(lines).removeprefix("Error: ") or type(error).__name__
+    """An error's text without line breaks, without Blender's "Error:" in front, each sentence once."""
+    lines = (line.strip().removeprefix("Error: ") for line in str(error).splitlines())
+    return " ".join(dict.fromkeys(line for line in lines if line)) or type(error).__name__
 
 
 def _emits(tree: Any) -> bool:
@@ -399,6 +399,38 @@ def run_warmup(words: argparse.Namespace) -> int:
     return DONE
 
 
+# ---- compare, bench ----
+
+def run_compare(words: argparse.Namespace) -> int:
+    """`rtgi compare`."""
+    size = parse_size(words.size) if words.size else None
+    preset = parse_preset(words.preset) if words.preset else None
+    techniques = parse_techniques(words.techniques) if words.techniques else None
+    if words.scene is not None:
+        refuse_newer(Path(words.scene), (sys.maxsize, 0))
+    bpy = _blender()
+    check_scene(open_scene(bpy, words.scene))
+    from .compare.run import compare_scene
+
+    compare_scene(words.scene, words.output, techniques, words.samples, size, preset, words.threads or 0,
+                  reference=words.reference)
+    return DONE
+
+
+def run_bench(words: argparse.Namespace) -> int:
+    """`rtgi bench`."""
+    size = parse_size(words.size)
+    presets = [parse_preset(name) for name in words.presets.split(",")] if words.presets else None
+    for scene in words.scenes:
+        refuse_newer(Path(scene), (sys.maxsize, 0))
+    _blender()
+    from .compare.bench import bench
+
+    bench(words.scenes, words.output, size, words.repeats, words.samples, presets, threads=words.threads or 0,
+          reference=words.reference)
+    return DONE
+
+
 # ---- parser ----
 
 def _count(text: str) -> int:
@@ -440,6 +472,45 @@ def _add_render(commands: Any) -> None:
     parser.set_defaults(run=run_render)
 
 
+def _add_compare(commands: Any) -> None:
+    parser = commands.add_parser(
+        "compare", help="error against Cycles one-bounce", formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Render a scene with RTGI, with each technique alone and with Cycles one-bounce. Prints a table of times\n"
+                    "and errors; writes DIR/compare.png (RTGI, Cycles, error map side by side) and DIR/compare.json.",
+        epilog="The reference is kept in DIR/references and used again while the scene stays the same.")
+    parser.add_argument("scene", nargs="?", metavar="SCENE.blend", help="the scene; left out, the file open in Blender")
+    parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for the results")
+    parser.add_argument("--techniques", metavar="LIST", help="rsm, several with commas, or auto")
+    parser.add_argument("--preset", metavar="NAME", help="draft, balanced or quality")
+    parser.add_argument("--samples", type=_count, default=64, metavar="N",
+                        help="samples a pixel of each of the reference's two halves; 64 if left out")
+    _add_measured(parser, None)
+    parser.set_defaults(run=run_compare)
+
+
+def _add_bench(commands: Any) -> None:
+    parser = commands.add_parser(
+        "bench", help="speed against error, for every preset and for Cycles",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Measure scenes, one after another, each in a process of its own: times of RTGI and of denoised Cycles\n"
+                    "one-bounce, and their errors. Writes DIR/results.md and DIR/results.jsonl.",
+        epilog="Times mean something on a quiet machine only.")
+    parser.add_argument("scenes", nargs="+", metavar="SCENE.blend")
+    parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for the results")
+    parser.add_argument("--presets", metavar="LIST", help="presets of RTGI, with commas; all if left out")
+    parser.add_argument("--repeats", type=_count, default=5, metavar="N", help="timed frames, after one that is not; 5")
+    parser.add_argument("--samples", type=int, default=256, metavar="N",
+                        help="samples a pixel of each half of the reference, 0 for times alone; 256")
+    _add_measured(parser, "960x540")
+    parser.set_defaults(run=run_bench)
+
+
+def _add_measured(parser: argparse.ArgumentParser, size: str | None) -> None:
+    parser.add_argument("--size", default=size, metavar="WxH", help=f"picture size in px; {size or 'that of the file'}")
+    parser.add_argument("--threads", type=_count, metavar="N", help="threads for Cycles and RTGI; all if left out")
+    parser.add_argument("--reference", type=Path, metavar="NPZ", help="a reference rendered before, or a folder of them")
+
+
 def parser(prog: str = "rtgi") -> argparse.ArgumentParser:
     """The whole command line."""
     top = _Parser(prog=prog, formatter_class=argparse.RawDescriptionHelpFormatter, epilog=_EXAMPLES,
@@ -456,6 +527,8 @@ def parser(prog: str = "rtgi") -> argparse.ArgumentParser:
                                  description="Compile every kernel and keep it, so that no render waits for it later.")
     warmup.add_argument("--threads", type=_count, metavar="N", help="threads; all if left out")
     warmup.set_defaults(run=run_warmup)
+    _add_compare(commands)
+    _add_bench(commands)
     return top
 
 

@@ -27,8 +27,12 @@ def _plain(value):
         return repr(value)
 
 
-def dump(struct, path, out, depth=0):
-    """All readable settings below `struct` into `out` by path; nested groups and lists of groups are followed."""
+def dump(struct, path, out, seen):
+    """All readable settings below `struct` into `out` by path; groups and lists of groups are followed, each once."""
+    identity = struct.bl_rna.identifier, struct.as_pointer()
+    if identity in seen:                         # node links and sockets point at each other
+        return
+    seen.add(identity)
     for prop in struct.bl_rna.properties:
         name = prop.identifier
         if name in COMPUTED:
@@ -37,26 +41,25 @@ def dump(struct, path, out, depth=0):
         place = f"{path}.{name}"
         if prop.type == "COLLECTION":
             out[f"{place}.len"] = len(value)
-            if depth < 6:
-                for index, item in enumerate(value):
-                    if hasattr(item, "name_full"):
-                        out[f"{place}[{index}]"] = _plain(item)
-                    else:
-                        dump(item, f"{place}[{index}]", out, depth + 1)
-        elif prop.type == "POINTER" and value is not None and not hasattr(value, "name_full") and depth < 6:
-            dump(value, place, out, depth + 1)
+            for index, item in enumerate(value):
+                if hasattr(item, "name_full"):
+                    out[f"{place}[{index}]"] = _plain(item)
+                else:
+                    dump(item, f"{place}[{index}]", out, seen)
+        elif prop.type == "POINTER" and value is not None and not hasattr(value, "name_full"):
+            dump(value, place, out, seen)
         else:
             out[place] = _plain(value)
 
 
 def state(bpy):
     """(settings by path, names of datablocks, dirty flag) of the open file."""
-    settings = {}
+    settings, seen = {}, set()
     for collection in ("scenes", "objects", "cameras", "lights", "materials", "worlds", "node_groups"):
         for datablock in getattr(bpy.data, collection):
-            dump(datablock, f"{collection}[{datablock.name!r}]", settings)
+            dump(datablock, f"{collection}[{datablock.name!r}]", settings, seen)
             if getattr(datablock, "node_tree", None) is not None:
-                dump(datablock.node_tree, f"{collection}[{datablock.name!r}].tree", settings)
+                dump(datablock.node_tree, f"{collection}[{datablock.name!r}].tree", settings, seen)
     names = {(c, d.name) for c in COLLECTIONS for d in getattr(bpy.data, c)}
     return settings, names, bpy.data.is_dirty
 

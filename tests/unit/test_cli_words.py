@@ -86,7 +86,7 @@ def test_refused_words_leave_no_file(tmp_path, capsys):
     assert sorted(tmp_path.iterdir()) == [scene]
 
 
-@pytest.mark.parametrize("command", [[], ["render"], ["doctor"], ["warmup"]])
+@pytest.mark.parametrize("command", [[], ["render"], ["compare"], ["bench"], ["doctor"], ["warmup"]])
 def test_help_ends_with_code_0(capsys, command):
     assert cli.main([*command, "--help"]) == 0
     assert "usage: rtgi" in capsys.readouterr().out
