@@ -475,8 +475,8 @@ def _add_render(commands: Any) -> None:
 def _add_compare(commands: Any) -> None:
     parser = commands.add_parser(
         "compare", help="error against Cycles one-bounce", formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Render a scene with RTGI, with each technique alone and with Cycles one-bounce. Prints a table of times\n"
-                    "and errors; writes DIR/compare.png (RTGI, Cycles, error map side by side) and DIR/compare.json.",
+        description="Render a scene with RTGI, with each technique alone and with Cycles one-bounce. Prints a table of\n"
+                    "times and errors; writes DIR/compare.png (RTGI, Cycles, error map side by side) and DIR/compare.json.",
         epilog="The reference is kept in DIR/references and used again while the scene stays the same.")
     parser.add_argument("scene", nargs="?", metavar="SCENE.blend", help="the scene; left out, the file open in Blender")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for the results")
@@ -498,7 +498,7 @@ def _add_bench(commands: Any) -> None:
     parser.add_argument("scenes", nargs="+", metavar="SCENE.blend")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for the results")
     parser.add_argument("--presets", metavar="LIST", help="presets of RTGI, with commas; all if left out")
-    parser.add_argument("--repeats", type=_count, default=5, metavar="N", help="timed frames, after one that is not; 5")
+    parser.add_argument("--repeats", type=_count, default=3, metavar="N", help="timed frames, after one that is not; 3")
     parser.add_argument("--samples", type=int, default=256, metavar="N",
                         help="samples a pixel of each half of the reference, 0 for times alone; 256")
     _add_measured(parser, "960x540")
