@@ -24,7 +24,7 @@ from ..kernels.brdf import albedo_table
 from ..kernels.clusters import ROWS, cluster_texels, count_texels, fill_texels
 from ..kernels.gather import gather_visible
 from ..kernels.vec3 import f32, vector
-from ..kernels.vpl import gather_all, gather_polar
+from ..kernels.vpl import gather_all, gather_polar, thin_texels
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_in_tiles, gather_on_lattice
 
@@ -68,14 +68,7 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
 def _all_texels(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
     table = texel_table(frame, params.glossy_texels)
     n_texels = table.shape[1]
-    if n_texels > params.samples:
-        # one texel out of each of `samples` equal runs, standing for its run
-        edges = np.linspace(0, n_texels, params.samples + 1)
-        jitter = np.random.default_rng(seed).random(params.samples)
-        chosen = np.minimum((edges[:-1] + jitter * np.diff(edges)).astype(np.int64), n_texels - 1)
-        table = np.ascontiguousarray(table[:, chosen])
-        table[6:9] *= np.float32(n_texels / params.samples)
-        table[12:15] *= np.float32(n_texels / params.samples)
+    table = thin_texels(table, params.samples, seed)
     eps2 = f32(MIN_DISTANCE2 * frame.scale_m**2)
 
     def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
@@ -96,7 +89,8 @@ def _polar_from(frame: Frame, view: LightView, params: RsmParams, context: Conte
     row = np.nan_to_num(row, nan=view.camera.height_px / 2).astype(np.float32)
     reflected = view.incident_flux * g.albedo
     radius_px = params.radius * view.camera.width_px
-    wraps = view.camera.right - view.camera.left > 2 * np.pi - 1e-3 and frame.lights[view.light_index].kind is LightKind.POINT
+    is_point = frame.lights[view.light_index].kind is LightKind.POINT
+    wraps = is_point and view.camera.right - view.camera.left > 2 * np.pi - 1e-3
 
     def gather(p: np.ndarray, n: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
         return gather_polar(p, n, column[ids], row[ids], g.position_ws, g.normal_ws, reflected, f32(radius_px),
