@@ -144,6 +144,6 @@ def test_interrupted_write_leaves_nothing(tmp_path):
 def test_module_renders_in_a_process_of_its_own_and_ends(request, scene_file, tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "rtgi_addon", "render", scene_file, "-o", tmp_path / "o.exr", "--size", SIZE],
-        capture_output=True, text=True, timeout=120, check=False, cwd=request.config.rootpath, env=os.environ)
+        capture_output=True, text=True, timeout=500, check=False, cwd=request.config.rootpath, env=os.environ)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "o.exr").stat().st_size > 0

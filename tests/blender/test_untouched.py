@@ -2,7 +2,8 @@
 
 import pytest
 
-pytestmark = pytest.mark.blender
+# the dump reads every property, also those that Blender 6 will drop
+pytestmark = [pytest.mark.blender, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
 # what a render may add to the file's datablocks
 ALLOWED = {("images", "RTGI"), ("images", "Render Result")}
