@@ -11,9 +11,11 @@ import numpy as np
 from .capture import geometry as capture_geometry
 from .capture import materials as capture_materials
 from .capture import world as capture_world
+from .capture.unsupported import unsupported_warnings
 from .capture.lights import lights_out, read_lights
 from .capture.versions import HAS_ROUGHNESS_PASS, pass_name
-from .capture.views import Needs, ViewCapture, full_sphere, main_camera, read_window, world_axes
+from .capture.needs import read_needs
+from .capture.views import ViewCapture, full_sphere, main_camera, read_window, world_axes
 from .core.frame import Frame, LightView, World
 from .errors import Cancelled, InputError, RtgiError
 
@@ -71,7 +73,7 @@ class RTGIEngine(bpy.types.RenderEngine):
 
         cycles_engine.register_passes(self, scene, view_layer)
         taken = {name for name, *_ in cycles_engine.list_render_passes(scene, view_layer)}
-        for name, channels, kind in _needs_of(scene).passes():
+        for name, channels, kind in read_needs(scene).passes():
             if name not in taken:
                 self.register_pass(scene, view_layer, name, len(channels), channels, kind)
         for name, channels in OUTPUT_PASSES:
@@ -97,26 +99,29 @@ class RTGIEngine(bpy.types.RenderEngine):
         cycles = scene.cycles
         cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = 1, False, False
         cycles.max_bounces, cycles.use_light_tree, cycles.use_guiding = 0, False, False
-        cycles.pixel_filter_type, cycles.filter_width = "BOX", 0.01
+        cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01    # a box is always a pixel wide
         depsgraph.view_layer_eval.cycles.denoising_pass_follow_reflections = False
         camera = self.camera_override
         if camera is None:
             raise InputError("the scene has no camera; add one or choose one in Scene Properties")
         self._window = read_window(depsgraph.scene.render)
+        self._warnings = ()
         place = np.array(camera.matrix_world, np.float64)[:3, 3]
         self._origin_ws = place if np.linalg.norm(place) > FAR_FROM_ORIGIN_M else np.zeros(3)
         size = (1, 1)                            # the true size is known with the first render result
         main_camera(camera, self._window, size, self._origin_ws)     # refuses a panorama before Cycles starts
-        if camera.data.dof.use_dof:
-            camera.data.dof.use_dof = False      # the evaluated copy: positions belong to pixels only without a lens
-            self._open.callback(setattr, camera.data.dof, "use_dof", True)
-            self._dof_warning = True
         self._lights = read_lights(depsgraph, self._origin_ws)
-        self._materials = capture_materials.read_materials(depsgraph)
+        self._materials = capture_materials.read_materials(depsgraph, _geometry_cache.materials)
         self._world = capture_world.read_world_constant(depsgraph)
+        self._warnings = unsupported_warnings(depsgraph, self._materials) + self._world.warnings
+        if camera.data.dof.use_dof:
+            camera.data.dof.use_dof = False      # the evaluated copy: a lens would smear positions over pixels
+            self._open.callback(setattr, camera.data.dof, "use_dof", True)
+        if scene.render.use_motion_blur:
+            scene.render.use_motion_blur = False
         if not HAS_ROUGHNESS_PASS:
             capture_materials.number_materials(depsgraph, self._materials)
-        self._warnings = capture_geometry.unsupported_warnings(depsgraph, self._materials)
+        
         self._data = data
         self._open.enter_context(lights_out(depsgraph))
 
@@ -174,8 +179,7 @@ class RTGIEngine(bpy.types.RenderEngine):
         context.checkpoint("Read triangles", 0.0)
         with stages("triangles"):
             geometry = capture_geometry.read_geometry(depsgraph, self._materials, self._origin_ws, _geometry_cache)
-        roughness = np.array([m.roughness for m in self._materials.materials], np.float32)
-        views = ViewCapture(self, self._data, depsgraph, self._window, self._origin_ws, roughness)
+        views = ViewCapture(self, self._data, depsgraph, self._window, self._origin_ws, self._materials.roughness)
         context.checkpoint("Camera view", 0.05)
         with stages("camera view"):
             self._raw = views.passes()
@@ -183,7 +187,7 @@ class RTGIEngine(bpy.types.RenderEngine):
             camera = main_camera(self.camera_override, self._window, (width, height), self._origin_ws)
             gbuffer = views.to_gbuffer(self._raw, camera)
         context.checkpoint()
-        materials = tuple(self._materials.materials)
+        materials = self._materials.materials
         frame = Frame(camera, gbuffer, self._lights, (), geometry, materials, World(), self._origin_ws, self._warnings)
         low, high = geometry.bounds_ws
         facts = planner.SceneFacts(self._lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission,
@@ -285,11 +289,6 @@ def _settings_of(scene):
     from .ui.props import settings_from_scene
 
     return settings_from_scene(scene)
-
-
-def _needs_of(scene):
-    """Passes that a frame of this scene needs; cheap, since Blender asks often."""
-    return Needs(**capture_materials.pass_needs(scene), material_index=not HAS_ROUGHNESS_PASS)
 
 
 def _keep_depsgraph(scene, *_):

@@ -20,39 +20,14 @@ from ..core.frame import GBuffer
 from ..core.transforms import Camera, Projection
 from ..errors import CaptureError, InputError
 from .lights import rigid
-from .versions import HAS_ROUGHNESS_PASS, pass_name
+from .needs import ROUGHNESS_PASS
+from .versions import pass_name
 
 _CAMERA_FIELDS = ("type", "lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y", "ortho_scale",
                   "clip_start", "clip_end", "panorama_type", "latitude_min", "latitude_max", "longitude_min",
                   "longitude_max")
 _SENSOR_M = 36.0            # any width serves: only its ratio to the focal length matters
 _NOTHING_M = 0.99e10        # Cycles writes 1e10 where a ray meets nothing
-_ROUGHNESS = "Denoising Roughness"
-
-
-@dataclass(frozen=True)
-class Needs:
-    """Which passes the frame needs beyond depth, normal and diffuse colour."""
-
-    glossy: bool = True
-    emission: bool = False
-    environment: bool = False
-    material_index: bool = False
-
-    def passes(self) -> list[tuple[str, str, str]]:
-        """(name, channels, kind) for `RenderEngine.register_pass`, by the running Blender's names."""
-        wanted = [("Depth", "Z", "VALUE"), ("Normal", "XYZ", "VECTOR"), ("Diffuse Color", "RGB", "COLOR")]
-        if self.glossy:
-            wanted.append(("Glossy Color", "RGB", "COLOR"))
-            if HAS_ROUGHNESS_PASS:
-                wanted.append((_ROUGHNESS, "X", "VALUE"))
-        if self.emission:
-            wanted.append(("Emission", "RGB", "COLOR"))
-        if self.environment:
-            wanted.append(("Environment", "RGB", "COLOR"))
-        if self.material_index:
-            wanted.append(("Material Index", "X", "VALUE"))
-        return [(pass_name(name), channels, kind) for name, channels, kind in wanted]
 
 
 @dataclass(frozen=True)
@@ -226,9 +201,9 @@ class ViewCapture:
         Blender 5.2's denoising pass is the mean over the lobes weighted by their albedo, with the diffuse lobe as 1:
         R = (d + g r) / (d + g) gives r. Before that the material's own number serves.
         """
-        if _ROUGHNESS in passes:
+        if ROUGHNESS_PASS in passes:
             d, g = albedo.mean(-1), specular.mean(-1)
-            rough = (passes[_ROUGHNESS][..., 0] * (d + g) - d) / np.maximum(g, 1e-4)
+            rough = (passes[ROUGHNESS_PASS][..., 0] * (d + g) - d) / np.maximum(g, 1e-4)
             return np.where(g > 1e-4, np.clip(rough, 0, 1), 1.0)
         index = passes.get(pass_name("Material Index"))
         if index is None or self.material_roughness is None or not len(self.material_roughness):
