@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..imageio import replacing
 
 ERROR_SCALE = 0.5           # relative error at the top of the error map's scale
+ERROR_WINDOW_PX = 5
 _DARK = 0.1                 # pixels darker than this share of the mean are measured against it
 _GAP_PX = 6
 _BACKGROUND = 24
@@ -67,11 +68,23 @@ def colour_table() -> np.ndarray:
     return np.round(encoded * 255).astype(np.uint8)
 
 
-def relative_error(test: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """(H, W) float64 |T - R| / max(R, a tenth of the mean R) of the luminance."""
+def _window_means(image: np.ndarray, size: int) -> np.ndarray:
+    """Means of (H, W) over the odd window of `size` px around each pixel, cut at the edges."""
+    half = size // 2
+    total = np.pad(image, ((half + 1, half), (half + 1, half))).cumsum(0).cumsum(1)
+    count = np.pad(np.ones_like(image), ((half + 1, half), (half + 1, half))).cumsum(0).cumsum(1)
+    sums = [t[size:, size:] - t[:-size, size:] - t[size:, :-size] + t[:-size, :-size] for t in (total, count)]
+    return sums[0] / sums[1]
+
+
+def relative_error(test: np.ndarray, reference: np.ndarray, window_px: int = ERROR_WINDOW_PX) -> np.ndarray:
+    """(H, W) float64 |T - R| / max(R, a tenth of the mean R) of the luminance, T - R and R being means over a small window.
+
+    The window takes out most of the reference's noise, which would else be all that the map shows.
+    """
     t, r = (np.asarray(image, np.float64)[..., :3] @ _LUMINANCE for image in (test, reference))
     floor = _DARK * r.mean()
-    return np.abs(t - r) / np.maximum(r, floor if floor > 0 else 1.0)
+    return np.abs(_window_means(t - r, window_px)) / np.maximum(_window_means(r, window_px), floor if floor > 0 else 1.0)
 
 
 def error_map(test: np.ndarray, reference: np.ndarray, scale: float = ERROR_SCALE) -> np.ndarray:
@@ -121,7 +134,9 @@ def _draw_scale(canvas: np.ndarray, row: int, left: int, width: int, line: int, 
     low = high = np.zeros((line, 0), np.float32)
     if draw is not None:
         low, high = draw("0 ", line), draw(f" {100 * scale:g} % and more", line)
-    bar = max(width - low.shape[1] - high.shape[1], min(width, 16))
+    if low.shape[1] + high.shape[1] > 3 * width // 4:            # a small picture: the bar alone
+        low = high = np.zeros((line, 0), np.float32)
+    bar = width - low.shape[1] - high.shape[1]
     _stamp(canvas, low, row, left, width)
     table = colour_table()[np.linspace(0, 255, bar).round().astype(np.intp)]
     canvas[row + line // 5:row + line - line // 5, left + low.shape[1]:left + low.shape[1] + bar] = table

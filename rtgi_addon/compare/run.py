@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..imageio import replacing
 from .halves import Reference, load_reference
 from .measure import errors_of, noise_of, picture_errors
-from .report import ERROR_SCALE, error_map, percent, side_by_side, text_table, write_picture
+from .report import ERROR_SCALE, ERROR_WINDOW_PX, error_map, percent, side_by_side, text_table, write_picture
 
 PEER_SAMPLES = (1, 4)
 HEAD = ("", "time", "direct", "bounce", "glossy bounce", "picture", "energy", "per pixel")
@@ -165,7 +165,8 @@ def _compare(blender: Any, scene: Any, path: Path | None, out: Path, techniques:
          blender.displayed(main.combined, scene)),
         (f"Cycles one bounce, {halves}", f"its noise {percent(noise['picture'])}",
          blender.displayed(truth.mean("picture"), scene)),
-        ("Relative error", "", error_map(main.combined, truth.mean("picture"))),
+        (f"Relative error, means of {ERROR_WINDOW_PX}x{ERROR_WINDOW_PX} px", "",
+         error_map(main.combined, truth.mean("picture"))),
     ], ERROR_SCALE, blender.drawn_text)
     files = {"picture": str(out / "compare.png"), "json": str(out / "compare.json")}
     write_picture(Path(files["picture"]), picture)
