@@ -1,0 +1,148 @@
+"""`rtgi compare` and `rtgi bench` end to end, on a scene of three objects and a few pixels."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rtgi_addon.errors import InputError
+
+pytestmark = pytest.mark.blender
+
+SIZE = (48, 28)
+SAMPLES = 8
+
+
+@pytest.fixture
+def blend_path(bpy_session, small_scene, tmp_path):
+    path = tmp_path / "small.blend"
+    bpy_session.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+@pytest.fixture
+def compared(blend_path, tmp_path, capsys):
+    """(what compare_scene returned, its folder, what it printed)."""
+    from rtgi_addon.compare.run import compare_scene
+
+    out = tmp_path / "compared"
+    outcome = compare_scene(blend_path, out, samples=SAMPLES, size=SIZE, peers=(1,))
+    return outcome, out, capsys.readouterr().out
+
+
+def test_compare_has_a_row_for_everything_for_direct_light_and_for_each_technique(compared):
+    outcome, _, _ = compared
+    assert {"RTGI", "direct only", "rsm", "Cycles 1 + denoiser"} <= set(outcome["rows"])
+
+
+def test_compare_saves_what_it_returns(compared):
+    outcome, out, _ = compared
+    assert json.loads((out / "compare.json").read_text()) == json.loads(json.dumps(outcome))
+
+
+def test_compare_writes_three_panels_in_one_picture(compared):
+    from rtgi_addon.compare.reference import _read_bytes, openimageio
+
+    _, out, _ = compared
+    pixels = _read_bytes(openimageio(), out / "compare.png")
+    assert pixels.shape[1] > 3 * SIZE[0] and pixels.shape[0] > SIZE[1]
+
+
+def test_compare_prints_the_table_and_the_stage_times(compared):
+    _, _, text = compared
+    assert "RTGI" in text and "the reference's own noise" in text and "camera view" in text and "compiling" in text
+
+
+def test_bounce_brings_the_picture_nearer_to_cycles(compared):
+    outcome, _, _ = compared
+    errors = {name: row["errors"]["picture"]["block"] for name, row in outcome["rows"].items()}
+    assert errors["RTGI"] < errors["direct only"]
+
+
+def test_direct_light_alone_has_no_bounce(compared):
+    outcome, _, _ = compared
+    assert outcome["rows"]["direct only"]["errors"]["bounce"]["energy"] == 0
+
+
+def test_reference_is_rendered_once_for_the_same_scene(compared, blend_path, monkeypatch):
+    from rtgi_addon.compare import reference, run
+
+    _, out, _ = compared
+    monkeypatch.setattr(reference, "render_reference", lambda *_args: pytest.fail("rendered again"))
+    scene = reference.current_scene()
+    again = run.reference_for(scene, blend_path, SIZE, SAMPLES, out / "references")
+    assert again.shape == SIZE[::-1]
+
+
+def test_changed_scene_gets_a_new_reference(compared, blend_path, monkeypatch):
+    from rtgi_addon.compare import reference, run
+
+    _, out, _ = compared
+
+    class RenderedAgainError(Exception):
+        pass
+
+    def render(*_args):
+        raise RenderedAgainError
+
+    monkeypatch.setattr(reference, "render_reference", render)
+    blend_path.write_bytes(blend_path.read_bytes() + b" ")
+    with pytest.raises(RenderedAgainError):
+        run.reference_for(reference.current_scene(), blend_path, SIZE, SAMPLES, out / "references")
+
+
+def test_unknown_technique_is_refused(blend_path, tmp_path):
+    from rtgi_addon.compare.run import compare_scene
+
+    with pytest.raises(InputError, match="no technique is called 'photons'"):
+        compare_scene(blend_path, tmp_path / "out", techniques=["photons"], samples=1, size=SIZE)
+
+
+def test_reference_of_another_size_is_refused(compared, blend_path, tmp_path):
+    from rtgi_addon.compare.run import compare_scene
+
+    _, out, _ = compared
+    (kept,) = (out / "references").iterdir()
+    with pytest.raises(InputError, match="choose the same size"):
+        compare_scene(blend_path, tmp_path / "out", size=(32, 18), reference=kept)
+
+
+def test_rendering_with_rtgi_leaves_the_scene_as_it_was(bpy_session, small_scene):
+    from rtgi_addon.compare import reference, run
+
+    small_scene.render.engine, small_scene.rtgi.preset, small_scene.rtgi.rsm.rays = "CYCLES", "DRAFT", 7
+    own = reference.scene_settings(small_scene)
+    render = (small_scene.render.resolution_x, small_scene.render.threads_mode, small_scene.render.engine)
+    reference.render_rtgi(small_scene, run.settings_for(own, "QUALITY", ()), SIZE)
+    assert reference.scene_settings(small_scene) == own
+    assert (small_scene.render.resolution_x, small_scene.render.threads_mode, small_scene.render.engine) == render
+
+
+def test_same_settings_give_the_same_picture_in_a_comparison(bpy_session, small_scene):
+    from rtgi_addon.compare import reference
+
+    own = reference.scene_settings(small_scene)
+    first, _ = reference.render_rtgi(small_scene, own, SIZE)
+    second, seconds = reference.render_rtgi(small_scene, own, SIZE)
+    assert np.array_equal(first.combined, second.combined) and seconds > 0
+
+
+def test_bench_measures_in_a_process_of_its_own(blend_path, tmp_path, capfd):
+    from rtgi_addon.compare.bench import bench
+
+    out = tmp_path / "bench"
+    (record,) = bench([blend_path], out, SIZE, repeats=1, samples=2, presets=("DRAFT",), peers=(1,))
+    assert record["rtgi"]["DRAFT"]["seconds"] > 0 and record["rtgi"]["DRAFT"]["errors"]["picture"]["block"] < 0.5
+    assert record["cycles"]["1"]["errors"]["picture"]["block"] < 0.5
+    assert [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()] == [record]
+    assert "| small " in (out / "results.md").read_text() and "| small " in capfd.readouterr().out
+
+
+def test_bench_of_a_broken_scene_is_one_error(tmp_path):
+    from rtgi_addon.compare.bench import bench
+    from rtgi_addon.errors import RtgiError
+
+    broken = tmp_path / "broken.blend"
+    broken.write_bytes(b"BLENDER-v405 and nothing more")
+    with pytest.raises(RtgiError, match="ended with code 1"):
+        bench([broken], tmp_path / "bench", SIZE, repeats=1, samples=0)
