@@ -1,11 +1,11 @@
-"""The glossy lobe: GGX with Smith's height-correlated shadowing and Schlick's rise, normalised to a known reflectance.
+"""The glossy lobe: GGX with Smith's height-correlated shadowing and Fresnel's rise, normalised to a known reflectance.
 
 Cycles' passes tell how much a glossy surface reflects towards the viewer ("Glossy Color": Fresnel, multiple scattering
-and colour are in it), but not where to. `ggx_lobe` gives the shape, `lobe_gain` makes its hemispherical integral 1, and
+and colour are in it), but not where to. `ggx_lobe` gives the shape, `fit_lobe` makes its hemispherical integral 1, and
 the pass's colour scales it. By reciprocity one function serves both uses: light arrives along `fixed` and leaves along
 `other` (a reflective shadow map's texel), or leaves along `fixed` and arrives along `other` (a camera's pixel).
 
-Whether Fresnel rises (a dielectric) or not (a metal) is told by the colour too: `normal_reflectance` solves it for the
+Whether reflectance rises (a dielectric) or not (a metal) is told by the colour too: `fit_lobe` solves it for the
 reflectance at normal incidence. Without it every surface is taken as a dielectric of index 1.5.
 """
 
@@ -17,21 +17,30 @@ import math
 import numpy as np
 
 from .jit import device_jit
-from .vec3 import ONE, ZERO, Vec3, add, dot, f32, normalized_or
+from .vec3 import ONE, ZERO, add, dot, f32, normalized_or
 
 INV_PI = f32(1 / math.pi)
 HALF = f32(0.5)
-F0 = f32(0.04)              # Schlick's reflectance at normal incidence of a dielectric of index 1.5
+F0 = f32(0.04)              # reflectance at normal incidence of a dielectric of index 1.5
 GAIN_STEPS = 32             # cells of the tables of albedos, along cosine and along alpha
-_QUADRATURE = 48            # nodes an axis of the integral over the hemisphere
-_LEAST_ALPHA = 0.05         # below it the quadrature misses the peak, and the albedo has long reached that of a mirror
+_QUADRATURE = 24            # nodes an axis of the integral over half vectors
 
 
 @device_jit
-def schlick(cosine, f0=F0):
-    """Schlick's Fresnel reflectance of a surface that reflects `f0` at normal incidence."""
-    m = ONE - cosine
-    return f0 + (ONE - f0) * m * m * m * m * m
+def fresnel_rise(cosine):
+    """How far reflectance has risen from normal incidence (0) to grazing (1), by Fresnel's equations for index 1.5.
+
+    Schlick's fifth power is up to a quarter below this where most highlights lie.
+    """
+    g = math.sqrt(max(cosine * cosine + f32(1.25), ZERO))
+    a, b = (g - cosine) / (g + cosine), (cosine * (g + cosine) - ONE) / (cosine * (g - cosine) + ONE)
+    return max(HALF * a * a * (ONE + b * b) - F0, ZERO) / (ONE - F0)
+
+
+@device_jit
+def fresnel(cosine, f0=F0):
+    """Reflectance of a surface that reflects `f0` at normal incidence and everything at grazing."""
+    return f0 + (ONE - f0) * fresnel_rise(cosine)
 
 
 @device_jit
@@ -48,70 +57,55 @@ def ggx_lobe(normal, fixed, other, alpha2, f0=F0):
     shadow = (cos_o * math.sqrt(cos_f * cos_f * (ONE - alpha2) + alpha2)
               + cos_f * math.sqrt(cos_o * cos_o * (ONE - alpha2) + alpha2))
     return (alpha2 * INV_PI / (t * t + f32(1e-12)) * HALF / (shadow + f32(1e-9)) * cos_o
-            * schlick(cos_d, f0) / schlick(cos_f, f0))
-
-
-@device_jit
-def _albedos(steps, quadrature, least_alpha):
-    """(steps, steps, 2) float32: hemispherical integrals of the lobe without Fresnel, and with Fresnel's rise alone."""
-    out = np.zeros((steps, steps, 2), np.float32)
-    up = Vec3(ZERO, ZERO, ONE)
-    for i in range(steps):
-        for j in range(steps):
-            cos_f, alpha, flat, rise = (i + 0.5) / steps, max((j + 0.5) / steps, least_alpha), 0.0, 0.0
-            fixed = Vec3(f32(math.sqrt(1 - cos_f * cos_f)), ZERO, f32(cos_f))
-            for u in range(quadrature):
-                cos_o = math.sqrt((u + 0.5) / quadrature)
-                sin_o = math.sqrt(1 - cos_o * cos_o)
-                for v in range(quadrature):
-                    phi = (v + 0.5) / quadrature * math.pi
-                    other = Vec3(f32(sin_o * math.cos(phi)), f32(sin_o * math.sin(phi)), f32(cos_o))
-                    lobe = ggx_lobe(up, fixed, other, f32(alpha * alpha), ONE) / cos_o
-                    cos_d = dot(normalized_or(add(fixed, other), up), fixed)
-                    flat += lobe
-                    rise += lobe * (1 - cos_d) ** 5
-            out[i, j, 0] = flat * math.pi / (quadrature * quadrature)
-            out[i, j, 1] = rise * math.pi / (quadrature * quadrature)
-    return out
+            * fresnel(cos_d, f0) / fresnel(cos_f, f0))
 
 
 @functools.cache
 def albedo_table() -> np.ndarray:
-    """(GAIN_STEPS, GAIN_STEPS, 2) float32: the lobe's albedo without Fresnel and by Fresnel's rise, over cosine and alpha."""
-    return _albedos(GAIN_STEPS, _QUADRATURE, _LEAST_ALPHA)
+    """(GAIN_STEPS, GAIN_STEPS, 2) float32: hemispherical integrals of the lobe, without Fresnel and of Fresnel's rise alone.
 
-
-def _albedos_at(cos_fixed: np.ndarray, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    row = np.clip((cos_fixed * GAIN_STEPS).astype(np.int32), 0, GAIN_STEPS - 1)
-    column = np.clip((alpha * GAIN_STEPS).astype(np.int32), 0, GAIN_STEPS - 1)
-    both = albedo_table()[row, column]
-    return both[..., 0], both[..., 1]
-
-
-def lobe_gain(cos_fixed: np.ndarray, alpha: np.ndarray, f0: np.ndarray | float = float(F0)) -> np.ndarray:
-    """1 / (hemispherical integral of `ggx_lobe`) for cosines of `fixed` and GGX alphas (squared roughness), any shape."""
-    flat, rise = _albedos_at(cos_fixed, alpha)
-    at_fixed = f0 + (1 - f0) * (1 - np.clip(cos_fixed, 0.02, 1)) ** 5
-    return (at_fixed / np.maximum(f0 * flat + (1 - f0) * rise, 0.02 * at_fixed)).astype(np.float32)
-
-
-def normal_reflectance(reflectance: np.ndarray, cos_fixed: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Schlick's F0 of surfaces whose directional reflectance towards `fixed` is known; float32 in [0.02, 1].
-
-    With r the share of the lobe that Fresnel's rise takes, reflectance = F0 + (1 - F0) r.
+    Rows are cosines of `fixed`, columns alphas, at the middles of even cells of [0, 1]. Half vectors are drawn with the
+    density D cos: then the integrand is shadowing x Fresnel x 4 cos_other (v.h) / cos_h, and smooth for every alpha.
     """
-    flat, rise = _albedos_at(cos_fixed, alpha)
-    r = np.minimum(rise / np.maximum(flat, 1e-3), 0.95)
-    return np.clip((reflectance - r) / (1 - r), 0.02, 1).astype(np.float32)
+    steps = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
+    cos_f, alpha2 = steps[:, None, None, None], (steps**2)[None, :, None, None]
+    u = ((np.arange(_QUADRATURE) + 0.5) / _QUADRATURE)[None, None, :, None]
+    phi = ((np.arange(_QUADRATURE) + 0.5) / _QUADRATURE * math.pi)[None, None, None, :]
+    cos_h = np.sqrt((1 - u) / (1 + (alpha2 - 1) * u))
+    cos_d = np.maximum(np.sqrt(1 - cos_f**2) * np.sqrt(1 - cos_h**2) * np.cos(phi) + cos_f * cos_h, 0)
+    cos_o = np.maximum(2 * cos_d * cos_h - cos_f, 0)
+    shadow = cos_o * np.sqrt(cos_f**2 * (1 - alpha2) + alpha2) + cos_f * np.sqrt(cos_o**2 * (1 - alpha2) + alpha2)
+    lobe = 2 * cos_o * cos_d / (shadow * cos_h)
+    g = np.sqrt(cos_d**2 + 1.25)
+    b = (cos_d * (g + cos_d) - 1) / (cos_d * (g - cos_d) + 1)
+    rise = (0.5 * ((g - cos_d) / (g + cos_d)) ** 2 * (1 + b * b) - 0.04) / 0.96
+    return np.stack([lobe.mean((2, 3)), (lobe * rise).mean((2, 3))], -1).astype(np.float32)
+
+
+@device_jit
+def lobe_albedos(table, cos_fixed, alpha):
+    """(integral of the lobe without Fresnel, of Fresnel's rise alone), interpolated in `albedo_table()`."""
+    x = min(max(cos_fixed * f32(GAIN_STEPS) - HALF, ZERO), f32(GAIN_STEPS - 1.001))
+    y = min(max(alpha * f32(GAIN_STEPS) - HALF, ZERO), f32(GAIN_STEPS - 1.001))
+    i, j = int(x), int(y)
+    s, t = x - f32(i), y - f32(j)
+    a, b, c, d = (ONE - s) * (ONE - t), (ONE - s) * t, s * (ONE - t), s * t
+    return (a * table[i, j, 0] + b * table[i, j + 1, 0] + c * table[i + 1, j, 0] + d * table[i + 1, j + 1, 0],
+            a * table[i, j, 1] + b * table[i, j + 1, 1] + c * table[i + 1, j, 1] + d * table[i + 1, j + 1, 1])
 
 
 @device_jit
 def fit_lobe(reflectance, cos_fixed, alpha, albedos):
-    """(F0, gain) of a lobe whose reflectance towards `fixed` is known; kernels' form of the two functions above."""
-    row = min(max(int(cos_fixed * f32(GAIN_STEPS)), 0), GAIN_STEPS - 1)
-    column = min(max(int(alpha * f32(GAIN_STEPS)), 0), GAIN_STEPS - 1)
-    flat, rise = albedos[row, column, 0], albedos[row, column, 1]
-    r = min(rise / max(flat, f32(1e-3)), f32(0.95))
-    f0 = min(max((reflectance - r) / (ONE - r), f32(0.02)), ONE)
-    at_fixed = schlick(min(max(cos_fixed, f32(0.02)), ONE), f0)
+    """(F0, gain) of a lobe that reflects `reflectance` towards `fixed`; `albedos` is `albedo_table()`.
+
+    The gain is 1 / (hemispherical integral of `ggx_lobe`). With r the share of the lobe that Fresnel's rise takes,
+    reflectance = F0 + (1 - F0) r. Near grazing the two terms are hard to tell apart, so what comes out like a dielectric
+    is taken as one of index 1.5; above an F0 of 0.2, which only metals have, the solution stands.
+    """
+    flat, rise = lobe_albedos(albedos, cos_fixed, alpha)
+    r = min(rise / max(flat, f32(1e-3)), f32(0.9))
+    solved = min(max((reflectance - r) / (ONE - r), F0), ONE)
+    t = min(max((solved - f32(0.08)) / f32(0.12), ZERO), ONE)
+    f0 = F0 + t * (solved - F0)
+    at_fixed = fresnel(min(max(cos_fixed, f32(0.02)), ONE), f0)
     return f0, at_fixed / max(f0 * flat + (ONE - f0) * rise, f32(0.02) * at_fixed)

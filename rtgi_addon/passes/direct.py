@@ -19,9 +19,9 @@ import numpy as np
 
 from ..core.frame import Frame, Light, LightKind, LightView
 from ..core.techniques import DirectParams
-from ..core.transforms import Camera, Projection
+from ..core.transforms import Projection
 from ..kernels import lamps, shadow
-from ..kernels.brdf import lobe_gain, normal_reflectance
+from ..kernels.brdf import albedo_table, fit_lobe
 from ..kernels.bvh import STACK, is_occluded
 from ..kernels.jit import device_jit, pixel_jit, prange
 from ..kernels.lamps import Lamp
@@ -143,9 +143,13 @@ def _pack_pixels(frame: Frame) -> tuple[_Pixels, float]:
     depth = np.where(g.mask, g.depth, 0).ravel()
     span = np.abs(position).max(-1, initial=0) + np.abs(camera.position_ws).max()
     error = ((np.abs(depth) + span) * POSITION_ERROR).astype(np.float32)
-    lobes = _lobes(camera, position, normal, specular, g.roughness.ravel())
     far_m = 4 * (frame.scale_m + float(span.max(initial=0)))
-    return _Pixels(position, normal, specular, *lobes, error, np.float32([eye]), is_parallel), far_m
+    alpha = np.clip(g.roughness.ravel(), 0, 1).astype(np.float32) ** 2
+    f0, gain = np.zeros_like(alpha), np.zeros_like(alpha)
+    pixels = _Pixels(position, normal, specular, alpha, f0, gain, error, np.float32([eye]), is_parallel)
+    if specular.any():
+        _describe_lobes(pixels, albedo_table())
+    return pixels, far_m
 
 
 def _test_of(light: Light, has_view: bool, has_rays: bool, params: DirectParams) -> int:
@@ -153,24 +157,6 @@ def _test_of(light: Light, has_view: bool, has_rays: bool, params: DirectParams)
     if not light.casts_shadow or not (has_view or has_rays):
         return NONE
     return RAYS if has_rays and (params.exact_shadows or not has_view) else MAP
-
-
-def _lobes(camera: Camera, position: np.ndarray, normal: np.ndarray, specular: np.ndarray,
-           roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """GGX alpha, reflectance at normal incidence and gain of every pixel's glossy lobe, (N,) float32 each."""
-    alpha = np.clip(roughness, 0, 1).astype(np.float32) ** 2
-    f0, gain = np.full(len(alpha), 0.04, np.float32), np.ones(len(alpha), np.float32)
-    some = np.flatnonzero(specular.any(-1))
-    if len(some):
-        if camera.projection is Projection.ORTHOGRAPHIC:
-            to_eye = np.broadcast_to(camera.world_from_view[:3, 2], (len(some), 3))
-        else:
-            to_eye = camera.position_ws - position[some]
-        cosine = np.einsum("ij,ij->i", normal[some], to_eye) / np.maximum(np.linalg.norm(to_eye, axis=-1), 1e-20)
-        cosine = np.clip(cosine, 0.0, 1.0).astype(np.float32)
-        f0[some] = normal_reflectance(specular[some].max(-1), cosine, alpha[some])
-        gain[some] = lobe_gain(cosine, alpha[some], f0[some])
-    return alpha, f0, gain
 
 
 def pack_lamp(light: Light, far_m: float) -> Lamp:
@@ -216,6 +202,23 @@ def _viewer(pixels, p):
         return load(pixels.eye, 0), ZERO
     to = sub(load(pixels.eye, 0), p)
     return normalized_or(to, Vec3(ZERO, ZERO, ONE)), length(to)
+
+
+@device_jit
+def _describe_lobe(q, pixels, albedos):
+    reflectance = max(pixels.specular[q, 0], max(pixels.specular[q, 1], pixels.specular[q, 2]))
+    if reflectance > ZERO:
+        p, n = load(pixels.position, q), load(pixels.normal, q)
+        viewer, _ = _viewer(pixels, p)
+        cosine = max(dot(n, viewer), ZERO)
+        pixels.f0[q], pixels.gain[q] = fit_lobe(reflectance, cosine, pixels.alpha[q], albedos)
+
+
+@pixel_jit
+def _describe_lobes(pixels, albedos):
+    """Fill f0 and gain of every glossy pixel."""
+    for q in prange(len(pixels.alpha)):
+        _describe_lobe(q, pixels, albedos)
 
 
 @device_jit

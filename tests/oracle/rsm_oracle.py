@@ -31,8 +31,13 @@ def smith_lambda(cosine: np.ndarray, alpha2: np.ndarray) -> np.ndarray:
     return (np.sqrt(1 + alpha2 * (1 - cosine**2) / cosine**2) - 1) / 2
 
 
-def schlick(cosine: np.ndarray, f0: np.ndarray) -> np.ndarray:
-    return f0 + (1 - f0) * (1 - cosine) ** 5
+def fresnel(cosine: np.ndarray, f0: np.ndarray) -> np.ndarray:
+    """Fresnel's equations of a dielectric of index 1.5, by Snell's law, stretched so that normal incidence gives f0."""
+    n = 1.5
+    cos_t = np.sqrt(1 - (1 - cosine**2) / n**2)
+    s = ((cosine - n * cos_t) / (cosine + n * cos_t)) ** 2
+    p = ((cos_t - n * cosine) / (cos_t + n * cosine)) ** 2
+    return f0 + (1 - f0) * ((s + p) / 2 - 0.04) / 0.96
 
 
 def glossy_lobe(normal: np.ndarray, fixed: np.ndarray, other: np.ndarray, alpha2: np.ndarray, f0: np.ndarray) -> np.ndarray:
@@ -47,7 +52,7 @@ def glossy_lobe(normal: np.ndarray, fixed: np.ndarray, other: np.ndarray, alpha2
     cos_o = np.where(seen, cos_o, 1.0)
     cos_h = np.where(np.abs(cos_h) > 0, cos_h, 1e-6)
     g2 = 1 / (1 + smith_lambda(cos_f, alpha2) + smith_lambda(cos_o, alpha2))
-    value = ggx_distribution(cos_h, alpha2) * g2 / (4 * cos_f) * schlick(cos_d, f0) / schlick(cos_f, f0)
+    value = ggx_distribution(cos_h, alpha2) * g2 / (4 * cos_f) * fresnel(cos_d, f0) / fresnel(cos_f, f0)
     return np.where(seen, value, 0.0)
 
 

@@ -1,0 +1,91 @@
+"""The glossy lobe: Fresnel, normalisation, reciprocity, and the fit to a known reflectance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from rtgi_addon.kernels.brdf import F0, albedo_table, fit_lobe, fresnel, ggx_lobe
+from rtgi_addon.kernels.vec3 import Vec3, f32
+
+UP = Vec3(f32(0), f32(0), f32(1))
+
+
+def tilted(cosine, phi=0.0):
+    sine = math.sqrt(max(0.0, 1 - cosine * cosine))
+    return Vec3(f32(sine * math.cos(phi)), f32(sine * math.sin(phi)), f32(cosine))
+
+
+def hemispherical(cos_fixed, alpha, f0, steps=400):
+    """Integral of the lobe over `other`: midpoints on a grid that is finer towards the mirror direction."""
+    fixed, total = tilted(cos_fixed), 0.0
+    for i in range(steps):
+        cos_o = (i + 0.5) / steps
+        for j in range(steps // 2):
+            phi = math.pi * (1 - ((j + 0.5) / (steps // 2)) ** 2)
+            width = 2 * math.pi * (j + 0.5) / (steps // 2) ** 2
+            total += ggx_lobe(UP, fixed, tilted(cos_o, phi), f32(alpha * alpha), f32(f0)) * width / steps * 2
+    return total
+
+
+@pytest.mark.parametrize(("degrees", "expected"), [(0, 0.04), (60, 0.0892), (90, 1.0)])
+def test_fresnel_of_glass_has_the_textbook_values(degrees, expected):
+    assert fresnel(f32(math.cos(math.radians(degrees))), F0) == pytest.approx(expected, abs=1e-4)
+
+
+def test_fresnel_vanishes_for_polarised_light_at_brewsters_angle_only_by_half():
+    # at 56.3 degrees the parallel part is 0: reflectance is half of ((n^2 - 1) / (n^2 + 1))^2
+    assert fresnel(f32(1 / math.sqrt(1 + 1.5**2)), F0) == pytest.approx(0.5 * (1.25 / 3.25) ** 2, rel=1e-4)
+
+
+def test_perfect_metal_reflects_everything_at_every_angle():
+    assert [fresnel(f32(c), f32(1)) for c in (0.0, 0.3, 1.0)] == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("reflectance", [0.05, 0.3, 0.9])
+@pytest.mark.parametrize("alpha", [0.2, 0.5, 0.95])
+@pytest.mark.parametrize("cosine", [0.25, 0.6, 0.95])
+def test_lobe_times_gain_integrates_to_one(reflectance, alpha, cosine):
+    f0, gain = fit_lobe(f32(reflectance), f32(cosine), f32(alpha), albedo_table())
+    # linear interpolation in 32 cells, and the grid of the test
+    assert gain * hemispherical(cosine, alpha, f0) == pytest.approx(1.0, rel=0.02)
+
+
+@pytest.mark.parametrize("cosine", [0.3, 0.7, 1.0])
+def test_mirror_needs_no_gain(cosine):
+    # a perfect mirror reflects its Fresnel reflectance towards its one direction, and the lobe is relative to that;
+    # the first cell of the table is an alpha of 1/64
+    assert fit_lobe(f32(1), f32(cosine), f32(0), albedo_table())[1] == pytest.approx(1.0, rel=0.02)
+
+
+def test_lobe_is_reciprocal_without_fresnel():
+    a, b, alpha2 = tilted(0.4), tilted(0.8, 2.0), f32(0.09)
+    assert ggx_lobe(UP, a, b, alpha2, f32(1)) / b.z == pytest.approx(ggx_lobe(UP, b, a, alpha2, f32(1)) / a.z, rel=1e-5)
+
+
+def test_lobe_is_zero_below_the_horizon():
+    assert ggx_lobe(UP, tilted(0.5), tilted(-0.1), f32(0.1), F0) == 0
+
+
+def test_sharp_lobe_peaks_in_the_mirror_direction():
+    values = [ggx_lobe(UP, tilted(0.6), tilted(0.6, math.pi + d), f32(1e-3), F0) for d in (-0.1, 0.0, 0.1)]
+    assert values[1] > 10 * max(values[0], values[2])
+
+
+@pytest.mark.parametrize("cosine", [0.15, 0.5, 1.0])
+def test_what_reflects_like_a_dielectric_is_one(cosine):
+    reflectance = fresnel(f32(cosine), F0)
+    assert fit_lobe(reflectance, f32(cosine), f32(0.02), albedo_table())[0] == pytest.approx(0.04, abs=0.01)
+
+
+@pytest.mark.parametrize("f0", [0.3, 0.6, 0.95])
+def test_metal_keeps_its_reflectance_at_normal_incidence(f0):
+    assert fit_lobe(f32(f0), f32(1), f32(0.1), albedo_table())[0] == pytest.approx(f0, rel=0.01)
+
+
+def test_table_is_finite_and_no_surface_reflects_more_than_it_gets():
+    table = albedo_table()
+    # single scattering loses light; 1 % for the rule's own error at grazing
+    assert np.isfinite(table).all() and (table >= 0).all() and table.max() <= 1.01
