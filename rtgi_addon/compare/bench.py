@@ -250,7 +250,7 @@ def _times(records: Sequence[dict[str, Any]]) -> str:
 def _errors_table(records: Sequence[dict[str, Any]]) -> str:
     peers = list(records[0]["cycles"])
     head = ["scene", "direct within 1 %", "direct", "bounce", "bounce energy", "bounce in the picture",
-            "glossy bounce in the picture", "picture", *(f"picture, Cycles {n}" for n in peers), "reference's noise"]
+            "glossy bounce in the picture", "picture", *(f"picture, Cycles {n}" for n in peers), "noise: picture", "bounce"]
     rows = []
     for record in records:
         errors, noise = _main(record)["errors"], record["reference"]["noise"]
@@ -260,9 +260,11 @@ def _errors_table(records: Sequence[dict[str, Any]]) -> str:
         rows.append([record["scene"], percent(direct.get("within_1_percent")), percent(direct.get("block")),
                      percent(bounce.get("block")), f"{energy:.3f}" if energy is not None else "-",
                      percent(bounce["of_picture"]), percent(errors["glossy bounce"]["of_picture"]),
-                     percent(errors["picture"]["block"]), *map(percent, cycles), percent(noise["picture"])])
+                     percent(errors["picture"]["block"]), *map(percent, cycles), percent(noise["picture"]),
+                     percent(noise.get("bounce"))])
     return ("Relative L1 of 8x8 blocks against Cycles one-bounce (two halves of many samples), over surfaces. \"in the "
-            "picture\": the part's error over the light of the whole picture, everything else being right.\n\n"
+            "picture\": the part's error over the light of the whole picture, everything else being right. \"noise\": what "
+            "the reference's own noise gives a perfect render; it is in all errors but energy.\n\n"
             + text_table(head, rows, True))
 
 

@@ -19,6 +19,7 @@ from .measure import errors_of, noise_of, picture_errors
 from .report import ERROR_SCALE, ERROR_WINDOW_PX, error_map, percent, side_by_side, text_table, write_picture
 
 PEER_SAMPLES = (1, 4)
+NOISY = 0.5                 # a reference whose noise is more than this share of the error is not good enough to judge it
 HEAD = ("", "time", "direct", "bounce", "glossy bounce", "picture", "energy", "per pixel")
 
 
@@ -179,5 +180,7 @@ def _compare(blender: Any, scene: Any, path: Path | None, out: Path, techniques:
     print(f"{title}, {size[0]}x{size[1]}: error against Cycles one-bounce, {halves} "
           "(relative L1 of 8x8 blocks; per pixel: nrmse without the reference's noise)")
     print(text_table(HEAD, [*(row_cells(name, row) for name, row in rows.items()), noise_row]))
+    if noise["picture"] > NOISY * rows["RTGI"]["errors"]["picture"]["block"]:
+        print("The reference's noise is a large part of these errors; more samples (--samples) tell more.")
     print(f"\n{stage_lines(main.report)}\n\n{files['picture']}", flush=True)
     return outcome
