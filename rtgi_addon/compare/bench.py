@@ -1,7 +1,8 @@
 """`rtgi bench`: speed and error of RTGI beside denoised Cycles, one fresh process a scene.
 
-Times are wall-clock seconds of a whole F12, the second and later frames, medians. First frame, compile
-time and peak memory are those of a fresh process that has rendered the main preset only. The error columns need a reference; without one the times are measured all the same.
+Times are wall-clock seconds of a whole F12, the second and later frames, medians. First frame, compile time and peak
+memory are those of a fresh process that has rendered the main preset only. The error columns need a reference; without
+one the times are measured all the same.
 """
 
 from __future__ import annotations
