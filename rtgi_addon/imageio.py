@@ -1,10 +1,9 @@
-"""Pictures to files: float32 EXR through the OpenImageIO that Blender brings, PNG through the scene's view transform."""
+"""Pictures to files and back: float32 EXR, and PNG through the scene's view transform."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -12,24 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from .core import exr
 from .errors import InputError
-
-
-def openimageio() -> Any:
-    """The module OpenImageIO; the bpy package keeps it in a folder that is not on Python's path."""
-    try:
-        import OpenImageIO
-    except ImportError:
-        import bpy
-
-        place = Path(bpy.utils.resource_path("LOCAL"), "python", "lib",
-                     f"python{sys.version_info.major}.{sys.version_info.minor}", "site-packages")
-        sys.path.append(str(place))
-        try:
-            import OpenImageIO
-        finally:
-            sys.path.remove(str(place))
-    return OpenImageIO
 
 
 @contextlib.contextmanager
@@ -49,34 +32,36 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_exr(path: Path, channels: Mapping[str, np.ndarray]) -> None:
-    """Write (H, W) float32 images, row 0 at the top, as the channels of one EXR; InputError if it cannot be written."""
-    oiio = openimageio()
-    pixels = np.ascontiguousarray(np.stack(list(channels.values()), -1), np.float32)
-    height, width, count = pixels.shape
-    spec = oiio.ImageSpec(width, height, count, "float")
-    spec.channelnames = tuple(channels)
-    spec.attribute("compression", "zip")
-    with replacing(path) as partial:
-        out = oiio.ImageOutput.create(str(partial))
-        done = out is not None and out.open(str(partial), spec) and out.write_image(pixels) and out.close()
-        if not done:
-            raise InputError(f"cannot write {path}: {out.geterror() if out is not None else oiio.geterror()}")
+    """Write (H, W) float32 images, row 0 at the top, as the channels of one EXR; OSError if it cannot be written."""
+    with replacing(path) as partial, partial.open("wb") as file:
+        exr.write(file, channels)
 
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:
-    """The channels of an EXR's parts by name, (H, W) float32 each, row 0 at the top; InputError if it cannot be read."""
-    oiio = openimageio()
-    file = oiio.ImageInput.open(str(path))
-    if file is None:
-        raise InputError(f"cannot read {path}: {oiio.geterror()}")
-    channels: dict[str, np.ndarray] = {}
-    part = 0
-    while file.seek_subimage(part, 0):
-        pixels = file.read_image(part, 0, 0, file.spec().nchannels, "float")
-        channels.update({name: pixels[..., i] for i, name in enumerate(file.spec().channelnames)})
-        part += 1
-    file.close()
-    return channels
+    """The channels of an EXR's parts by name, (H, W) each, row 0 at the top; InputError if it cannot be read."""
+    try:
+        return exr.parse(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    except InputError as error:
+        raise InputError(f"cannot read {path}: {error}") from error
+
+
+def read_png(path: Path) -> np.ndarray:
+    """(H, W, 4) uint8 of a PNG of 8 bits, row 0 at the top, exactly as stored; InputError if it cannot be read."""
+    import bpy
+
+    try:
+        image = bpy.data.images.load(str(path))
+    except RuntimeError as error:
+        raise InputError(f"cannot read {path}: {error}") from error
+    try:
+        width, height = image.size
+        pixels = np.empty(width * height * 4, np.float32)
+        image.pixels.foreach_get(pixels)
+    finally:
+        bpy.data.images.remove(image)
+    return np.rint(pixels.reshape(height, width, 4)[::-1] * 255).astype(np.uint8)
 
 
 def write_composite_exr(path: Path, combined: np.ndarray) -> None:

@@ -22,7 +22,7 @@ from ..blendfile import refuse_newer
 from ..capture.versions import pass_name
 from ..core.settings import Settings
 from ..errors import CaptureError, InputError
-from ..imageio import openimageio, read_exr, write_png
+from ..imageio import read_exr, read_png, write_png
 from ..ui.props import settings_from_scene, settings_to_scene
 from .halves import PASSES, Reference
 
@@ -288,21 +288,10 @@ def displayed(image: np.ndarray, scene: bpy.types.Scene) -> np.ndarray:
     """(H, W, 3) uint8 of a linear picture (H, W, 3 or 4) through the scene's view transform."""
     rgba = np.ones((*image.shape[:2], 4), np.float32)
     rgba[..., :3] = image[..., :3]
-    oiio = openimageio()
     with tempfile.TemporaryDirectory(prefix="rtgi_display_") as folder, changed([(scene.render, "film_transparent", False)]):
         path = Path(folder) / "picture.png"
         write_png(path, rgba, scene)
-        return np.ascontiguousarray(_read_bytes(oiio, path)[..., :3])
-
-
-def _read_bytes(oiio: Any, path: Path) -> np.ndarray:
-    file = oiio.ImageInput.open(str(path))
-    if file is None:
-        raise CaptureError(f"cannot read {path.name} back: {oiio.geterror()}")
-    try:
-        return np.asarray(file.read_image(0, 0, 0, file.spec().nchannels, "uint8"))
-    finally:
-        file.close()
+        return np.ascontiguousarray(read_png(path)[..., :3])
 
 
 def drawn_text(text: str, height_px: int) -> np.ndarray:
@@ -322,4 +311,4 @@ def drawn_text(text: str, height_px: int) -> np.ndarray:
             blf.draw_buffer(font, text)
         imbuf.write(canvas, filepath=str(path))
         canvas.free()
-        return _read_bytes(openimageio(), path)[..., 0].astype(np.float32) / 255
+        return read_png(path)[..., 0].astype(np.float32) / 255

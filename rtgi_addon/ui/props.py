@@ -72,7 +72,7 @@ def _scene_group() -> type:
             items=[(identifier, label, doc, number) for number, (identifier, label, doc) in enumerate(PRESETS)],
             default="BALANCED", update=lambda group, _context: apply_preset(group)),
         "use_auto": bpy.props.BoolProperty(
-            name="Choose Automatically", default=True,
+            name="Automatic", default=True,
             description="Look at the frame and leave out what it does not need; the check marks say what may be used"),
         "seed": bpy.props.IntProperty(
             name="Seed", default=0, min=0, description="Another seed gives another pattern of noise"),

@@ -147,3 +147,35 @@ def test_module_renders_in_a_process_of_its_own_and_ends(request, scene_file, tm
         capture_output=True, text=True, timeout=500, check=False, cwd=request.config.rootpath, env=os.environ)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "o.exr").stat().st_size > 0
+
+
+@pytest.mark.parametrize("codec", ["NONE", "ZIP", "ZIPS", "RLE"])
+@pytest.mark.parametrize("depth", ["16", "32"])
+def test_exr_of_blender_is_read_as_blender_reads_it(bpy_session, empty_scene, tmp_path, rng, codec, depth):
+    picture = rng.random((19, 7, 4), np.float32)
+    picture[..., 3] = 1
+    image = bpy_session.data.images.new("noise", 7, 19, alpha=True, float_buffer=True)
+    image.pixels.foreach_set(picture[::-1].ravel())
+    settings = empty_scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth, settings.exr_codec = "OPEN_EXR", "RGBA", depth, codec
+    path = tmp_path / "noise.exr"
+    image.save_render(str(path), scene=empty_scene)
+    read = np.stack([imageio.read_exr(path)[c] for c in "RGBA"], -1)
+    # half floats keep 11 bits
+    assert np.allclose(read, picture, rtol=0 if depth == "32" else 2**-11, atol=0)
+
+
+def test_blender_reads_the_exr_as_it_was_written(bpy_session, tmp_path, rng):
+    picture = rng.random((19, 7, 4), np.float32)
+    picture[..., 3] = 1
+    imageio.write_composite_exr(tmp_path / "x.exr", picture)
+    image = bpy_session.data.images.load(str(tmp_path / "x.exr"))
+    pixels = np.empty(19 * 7 * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    assert tuple(image.size) == (7, 19) and np.array_equal(pixels.reshape(19, 7, 4)[::-1], picture)
+
+
+def test_file_that_is_no_exr_is_named(tmp_path):
+    (tmp_path / "x.exr").write_text("hello")
+    with pytest.raises(imageio.InputError, match="x.exr"):
+        imageio.read_exr(tmp_path / "x.exr")

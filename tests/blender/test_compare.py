@@ -41,10 +41,10 @@ def test_compare_saves_what_it_returns(compared):
 
 
 def test_compare_writes_three_panels_in_one_picture(compared):
-    from rtgi_addon.compare.reference import _read_bytes, openimageio
+    from rtgi_addon.imageio import read_png
 
     _, out, _ = compared
-    pixels = _read_bytes(openimageio(), out / "compare.png")
+    pixels = read_png(out / "compare.png")
     assert pixels.shape[1] > 3 * SIZE[0] and pixels.shape[0] > SIZE[1]
 
 
