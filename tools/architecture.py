@@ -48,7 +48,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "capture": BLENDER | {
         "numpy", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.errors", "rtgi_addon.kernels",
         "rtgi_addon.light_views"},
-    "imageio": BLENDER | {"numpy", "rtgi_addon.errors"},
+    "imageio": BLENDER | {"numpy", "rtgi_addon.core", "rtgi_addon.errors"},
     "engine": BLENDER | {
         "numpy", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.errors", "rtgi_addon.kernels.jit",
         "rtgi_addon.light_views", "rtgi_addon.passes", "rtgi_addon.pipeline", "rtgi_addon.planner", "rtgi_addon.ui.props"},
