@@ -17,7 +17,7 @@ PACKAGE = "rtgi_addon"
 
 # modules that exist only inside Blender
 BLENDER = frozenset({
-    "bl_ext", "bl_ui", "blf", "bmesh", "bpy", "bpy_extras", "cycles", "gpu", "imbuf", "mathutils", "OpenImageIO",
+    "_cycles", "bl_ext", "bl_ui", "blf", "bmesh", "bpy", "bpy_extras", "cycles", "gpu", "imbuf", "mathutils", "OpenImageIO",
     "PyOpenColorIO"})
 
 # Who may import what beside the standard library. The longest matching prefix of the importing module decides; a module

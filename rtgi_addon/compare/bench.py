@@ -26,7 +26,7 @@ from ..imageio import replacing
 from ..pipeline import peak_memory_mb, versions
 from .measure import errors_of, noise_of, picture_errors
 from .report import percent, text_table
-from .run import PEER_SAMPLES, reference_for, say, settings_for
+from .run import PEER_SAMPLES, peers_for, reference_for, say, settings_for
 
 SIZE = (960, 540)
 REPEATS = 3
@@ -68,6 +68,7 @@ def measure_scene(path: Path, cache: Path, size: tuple[int, int] = SIZE, repeats
         "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "versions": {**versions(), "blender": blender.blender_version()}, "rtgi": {}, "cycles": {}}
     pictures = {}
+    peers = peers_for(peers)
     with blender.on_threads(scene, threads):
         own = blender.scene_settings(scene)
         # the main preset first: its first frame is the process's first, its peak memory nobody else's

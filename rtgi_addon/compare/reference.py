@@ -237,6 +237,13 @@ def render_reference(scene: bpy.types.Scene, samples: int = 256, size: tuple[int
     return Reference(*halves, samples)
 
 
+def has_denoiser() -> bool:
+    """Whether this Blender was built with OpenImageDenoise; some distributions' builds are not."""
+    import _cycles
+
+    return bool(_cycles.with_openimagedenoise)
+
+
 def render_peer(scene: bpy.types.Scene, samples: int, denoise: bool = True, repeats: int = 1,
                 size: tuple[int, int] | None = None, layer: bpy.types.ViewLayer | None = None, seed: int = SEEDS[0]) -> Peer:
     """One-bounce Cycles of few samples, denoised by OpenImageDenoise, with the seconds of a second and further frames.

@@ -69,6 +69,16 @@ def reference_for(scene: Any, blend_path: Path | None, size: tuple[int, int], sa
     return reference
 
 
+def peers_for(counts: Sequence[int]) -> list[int]:
+    """The sample counts of denoised Cycles to measure: none, with a word about it, where Blender has no denoiser."""
+    from . import reference as blender
+
+    if counts and not blender.has_denoiser():
+        say("this Blender was built without OpenImageDenoise: denoised Cycles is left out")
+        return []
+    return list(counts)
+
+
 def _variants(settings: Settings, techniques: Sequence[str] | None) -> list[tuple[str, Settings]]:
     """(row, settings): everything, direct light alone, and each technique by itself where there are several."""
     single = [name for name in (techniques if techniques is not None else optional_techniques()) if name not in ALWAYS_ON]
@@ -154,7 +164,7 @@ def _compare(blender: Any, scene: Any, path: Path | None, out: Path, techniques:
         rows[name] = {"seconds": seconds, "errors": errors_of(result, truth)}
         if main is None:
             main, main.report["jit_ms"] = result, first.report["jit_ms"]
-    for count in peers:
+    for count in peers_for(peers):
         name = f"Cycles {count} + denoiser"
         say(f"{name}: two frames, the second is timed")
         peer = blender.render_peer(scene, count, True, 1, size)

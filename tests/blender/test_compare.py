@@ -146,3 +146,11 @@ def test_bench_of_a_broken_scene_is_one_error(tmp_path):
     broken.write_bytes(b"BLENDER-v405 and nothing more")
     with pytest.raises(RtgiError, match="ended with code 1"):
         bench([broken], tmp_path / "bench", SIZE, repeats=1, samples=0)
+
+
+def test_denoised_cycles_is_left_out_where_blender_has_no_denoiser(bpy_session, monkeypatch, capsys):
+    from rtgi_addon.compare import reference, run
+
+    assert run.peers_for([1, 4]) == [1, 4]
+    monkeypatch.setattr(reference, "has_denoiser", lambda: False)
+    assert run.peers_for([1, 4]) == [] and "left out" in capsys.readouterr().err
