@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core import radiometry
 from ..core.frame import Light, LightKind
+from .nodes import node_tree
 
 _AREA_KINDS = {"SQUARE": LightKind.RECTANGLE, "RECTANGLE": LightKind.RECTANGLE, "DISK": LightKind.DISK,
                "ELLIPSE": LightKind.DISK}
@@ -36,7 +37,7 @@ def rigid(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _node_factor(lamp: bpy.types.Light) -> np.ndarray:
     """(3,) what a plain Emission node at the lamp's output multiplies; 1 for anything this cannot read."""
-    tree = lamp.node_tree if lamp.use_nodes else None
+    tree = node_tree(lamp)
     output = tree and next((n for n in tree.nodes if n.type == "OUTPUT_LIGHT" and n.is_active_output), None)
     if not output or not output.inputs["Surface"].links:
         return np.ones(3)
