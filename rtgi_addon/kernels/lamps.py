@@ -140,12 +140,10 @@ def lamp_sample(lamp, p, u, v):
 
 @device_jit
 def rim_point(lamp, i, turn):
-    """(x, y) of pilot i of six for `lamp_at`: around the rim of a round shape, corners and two places of a rectangle."""
+    """(x, y) of pilot i of four for `lamp_at`: around the rim of a round shape, the corners of a rectangle."""
     if lamp.kind == RECTANGLE_LAMP:
-        if i >= 4:
-            return (f32(0.3), f32(-0.2)) if i == 4 else (f32(-0.3), f32(0.2))
         return f32(0.96) * (ONE if i & 1 else -ONE), f32(0.96) * (ONE if i & 2 else -ONE)
-    angle = (f32(i) + turn) * f32(math.pi / 3)
+    angle = (f32(i) + turn) * f32(math.pi / 2)
     return f32(0.96) * math.cos(angle), f32(0.96) * math.sin(angle)
 
 
@@ -244,7 +242,7 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
                 if is_glossy and weight > ZERO:
                     glossy += _glossy_at(n, viewer, d, weight, widened * widened, f0) / f32(AREA_SAMPLES)
         return diffuse, glossy
-    if size < TINY and not is_area:
+    if size < TINY and not is_area and abs(height) >= size:
         d, weight = lamp_at(lamp, p, ZERO, ZERO)
         diffuse = weight * max(dot(n, normalized_or(d, n)), ZERO)
         if is_glossy and weight > ZERO:

@@ -9,6 +9,9 @@ the light. On a plane h is an affine function of the texel (exactly, for the two
 step that no crease between two planes explains. A silhouette of height h_e throws a half shadow of k (h_e - h) texels on
 what lies at height h, with k = source radius / texel angle; its largest value over all silhouettes, less their
 chessboard distance, comes from two raster scans (Rosenfeld and Pfaltz 1966) and is kept as `reach`.
+
+Half of what this leaves in doubt is settled by `look_around`, once the triangle of the point is known: no texel that the
+lamp's outline covers from there rises above the triangle's plane, or every one does.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ LIT, DARK, ASK = 1, 2, 3
 NOTHING = f32(-1e30)        # height where a view sees nothing, and reach where no silhouette is
 TOLERANCE_PX = f32(0.05)    # steps below this share of a texel's footprint are seen as one surface
 QUAD_SHARE = f32(0.1)       # and below this share of the height range of the four texels around a point
+WINDOW_PX = 10              # larger outlines of the lamp are not worth looking through: rays are cheaper
 MARGIN_PX = f32(1.5)        # silhouettes nearer than this make a point ambiguous for any light
 POLE = f32(0.1)             # rows of an equirectangular view whose cosine of latitude is smaller are never trusted
 
@@ -35,8 +39,8 @@ class ShadowMap(NamedTuple):
     """One light's view, as kernels take it.
 
     view_from_world (3, 4) float32; left, top: edges of the image plane; step_x, step_y: size of a texel on it;
-    height (H, W) float32; reach (H, W) float32 texels (see the module's docstring); broken (H, W) uint8, 1 beside a jump;
-    k: texels of half shadow for a unit of height.
+    height (H, W) float32; reach (H, W) float32 texels (see the module's docstring), and `tallest` (H, W) float32, the height
+    of the silhouette that gives it; broken (H, W) uint8, 1 beside a jump; k: texels of half shadow for a unit of height.
     """
 
     projection: int
@@ -47,6 +51,7 @@ class ShadowMap(NamedTuple):
     step_y: np.float32
     height: np.ndarray
     reach: np.ndarray
+    tallest: np.ndarray
     broken: np.ndarray
     k: np.float32
 
@@ -61,23 +66,25 @@ def build_shadow_map(projection: int, view_from_world: np.ndarray, left: float, 
     safe = np.where(seen, depth, 1)
     height = np.where(seen, -safe if projection == ORTHOGRAPHIC else 1 / safe, NOTHING).astype(np.float32)
     k = f32(source / min(step_x, step_y))
-    broken, reach = np.zeros(height.shape, np.uint8), np.empty(height.shape, np.float32)
+    broken = np.zeros(height.shape, np.uint8)
+    reach, tallest = np.empty(height.shape, np.float32), np.empty(height.shape, np.float32)
     row_scale = np.ones(len(height), np.float32)
     if projection == EQUIRECTANGULAR:
         latitude = top - (np.arange(len(height)) + 0.5) * step_y
         row_scale = (1 / np.maximum(np.cos(latitude), POLE)).astype(np.float32)
     is_wrapped = projection == EQUIRECTANGULAR and abs(step_x * height.shape[1] - 2 * math.pi) < 1e-3
-    _find_jumps(height, projection == ORTHOGRAPHIC, is_wrapped, f32(max(step_x, step_y)), k, row_scale, broken, reach)
+    _find_jumps(height, projection == ORTHOGRAPHIC, is_wrapped, f32(max(step_x, step_y)), k, row_scale, broken, reach,
+                tallest)
     for _ in range(2 if is_wrapped else 1):
-        _spread_reach(reach, is_wrapped)
+        _spread_reach(reach, tallest, is_wrapped)
     return ShadowMap(projection, np.ascontiguousarray(view_from_world[:3], np.float32), f32(left), f32(top), f32(step_x),
-                     f32(step_y), height, reach, broken, k)
+                     f32(step_y), height, reach, tallest, broken, k)
 
 
 def no_shadow_map() -> ShadowMap:
     """A map of one texel that sees nothing: every point is to be asked for by rays."""
     return ShadowMap(ORTHOGRAPHIC, np.zeros((3, 4), np.float32), ZERO, ZERO, ONE, ONE, np.full((1, 1), NOTHING),
-                     np.full((1, 1), NOTHING), np.ones((1, 1), np.uint8), ZERO)
+                     np.full((1, 1), NOTHING), np.full((1, 1), NOTHING), np.ones((1, 1), np.uint8), ZERO)
 
 
 @device_jit
@@ -109,7 +116,7 @@ def _is_jump(height, i, j, di, dj, is_orthographic, is_wrapped, step):
 
 
 @pixel_jit
-def _find_jumps(height, is_orthographic, is_wrapped, step, k, row_scale, broken, reach):
+def _find_jumps(height, is_orthographic, is_wrapped, step, k, row_scale, broken, reach, tallest):
     rows, columns = height.shape
     for i in prange(rows):
         for j in range(columns):
@@ -125,32 +132,39 @@ def _find_jumps(height, is_orthographic, is_wrapped, step, k, row_scale, broken,
                 top = max(top, max(height[i, j], height[i - 1, j]))
             broken[i, j] = np.uint8(top != NOTHING)
             reach[i, j] = k * row_scale[i] * top if top != NOTHING else NOTHING
+            tallest[i, j] = top
 
 
 @device_jit
-def _spread_reach(reach, is_wrapped):
+def _sweep_row(reach, tallest, i, neighbour, start, step, is_wrapped):
+    """Row i takes over from row `neighbour` (none if negative) and from its own texels before, in steps from `start`."""
+    columns = reach.shape[1]
+    before = (start - step) % columns if is_wrapped else start
+    run, top = reach[i, before], tallest[i, before]
+    for n in range(columns):
+        j = start + n * step
+        best, tall = reach[i, j], tallest[i, j]
+        if run - ONE > best:
+            best, tall = run - ONE, top
+        if neighbour >= 0:
+            for dj in range(-1, 2):
+                c = j + dj
+                if c < 0 or c >= columns:
+                    c = c % columns if is_wrapped else j
+                if reach[neighbour, c] - ONE > best:
+                    best, tall = reach[neighbour, c] - ONE, tallest[neighbour, c]
+        reach[i, j], tallest[i, j] = best, tall
+        run, top = best, tall
+
+
+@device_jit
+def _spread_reach(reach, tallest, is_wrapped):
     """reach(x) = max over y of reach(y) - chessboard distance(x, y), in two scans; wrapped views take the scans twice."""
     rows, columns = reach.shape
     for i in range(rows):
-        for j in range(columns):
-            best = reach[i, j]
-            for dj in range(-1, 2):
-                c = (j + dj) % columns if is_wrapped else min(max(j + dj, 0), columns - 1)
-                if i > 0:
-                    best = max(best, reach[i - 1, c] - ONE)
-                if dj < 0:
-                    best = max(best, reach[i, c] - ONE)
-            reach[i, j] = best
+        _sweep_row(reach, tallest, i, i - 1, 0, 1, is_wrapped)
     for i in range(rows - 1, -1, -1):
-        for j in range(columns - 1, -1, -1):
-            best = reach[i, j]
-            for dj in range(-1, 2):
-                c = (j + dj) % columns if is_wrapped else min(max(j + dj, 0), columns - 1)
-                if i + 1 < rows:
-                    best = max(best, reach[i + 1, c] - ONE)
-                if dj > 0:
-                    best = max(best, reach[i, c] - ONE)
-            reach[i, j] = best
+        _sweep_row(reach, tallest, i, i + 1 if i + 1 < rows else -1, columns - 1, -1, is_wrapped)
 
 
 @device_jit
@@ -217,6 +231,77 @@ def classify(m, p, error):
     if abs(h - shown) <= slack:
         return LIT
     return DARK if h < low - slack else ASK
+
+
+@device_jit
+def _turned(m, d):
+    v = m.view_from_world
+    return Vec3(v[0, 0] * d.x + v[0, 1] * d.y + v[0, 2] * d.z, v[1, 0] * d.x + v[1, 1] * d.y + v[1, 2] * d.z,
+                v[2, 0] * d.x + v[2, 1] * d.y + v[2, 2] * d.z)
+
+
+@device_jit
+def _plane_height(m, n, over, h, column, row, i, j):
+    """Height of the plane through a point (column, row, h) with view-space normal n where texel (i, j) sees it.
+
+    `over` is 1 / (n . point) in view space, or for an orthographic view 1 / n.z.
+    """
+    x, y = m.left + (f32(j) + f32(0.5)) * m.step_x, m.top - (f32(i) + f32(0.5)) * m.step_y
+    if m.projection == ORTHOGRAPHIC:
+        return h - (n.x * (f32(j) - column) * m.step_x - n.y * (f32(i) - row) * m.step_y) * over
+    if m.projection == PERSPECTIVE:
+        return (n.x * x + n.y * y - n.z) * over
+    c = math.cos(y)
+    return (n.x * c * math.sin(x) + n.y * math.sin(y) - n.z * c * math.cos(x)) * over
+
+
+@device_jit
+def look_around(m, p, n, error):
+    """LIT, DARK or ASK for point p of a triangle with unit normal n, for a lamp that has a size.
+
+    LIT if no texel that the lamp's outline may cover rises above the triangle's plane, DARK if all of them do.
+    """
+    column, row, h = _project(m, p)
+    if h == NOTHING or not (abs(column) < f32(1e6) and abs(row) < f32(1e6)):
+        return ASK
+    i, j = int(math.floor(row)), int(math.floor(column))
+    j0, j1 = _corner(m, i, j), _corner(m, i, j + 1)
+    if j0 < 0 or j1 < 0 or i + 1 >= m.height.shape[0]:
+        return ASK
+    k, foot = m.k, max(m.step_x, m.step_y)
+    if m.projection == EQUIRECTANGULAR:
+        k = k / max(math.cos(m.top - (f32(i) + f32(0.5)) * m.step_y), POLE)
+    tallest = max(max(m.tallest[i, j0], m.tallest[i, j1]), max(m.tallest[i + 1, j0], m.tallest[i + 1, j1]))
+    if not k * (tallest - h) < f32(WINDOW_PX - 1):
+        return ASK
+    radius = int(max(k * (tallest - h), ZERO) + ONE)
+    n = _turned(m, n)
+    v = m.view_from_world
+    if m.projection == ORTHOGRAPHIC:
+        over = n.z
+    else:
+        over = dot(n, Vec3(v[0, 0] * p.x + v[0, 1] * p.y + v[0, 2] * p.z + v[0, 3],
+                           v[1, 0] * p.x + v[1, 1] * p.y + v[1, 2] * p.z + v[1, 3],
+                           v[2, 0] * p.x + v[2, 1] * p.y + v[2, 2] * p.z + v[2, 3]))
+    if abs(over) <= f32(1e-20):
+        return ASK
+    over = ONE / over
+    above, below = 0, 0
+    for y in range(i - radius, i + radius + 2):
+        for x in range(j - radius, j + radius + 2):
+            c = _corner(m, y, x)
+            if c < 0:
+                return ASK
+            there = m.height[y, c]
+            scale = ONE if m.projection == ORTHOGRAPHIC else max(there, h)
+            slack = (TOLERANCE_PX * foot + error * scale) * scale
+            if there > _plane_height(m, n, over, h, column, row, y, x) + slack:
+                above += 1
+            else:
+                below += 1
+            if above > 0 and below > 0:
+                return ASK
+    return DARK if above > 0 else LIT
 
 
 @device_jit

@@ -3,7 +3,7 @@
 For each lamp two kernels run. The first computes at every pixel what would arrive with nothing in between, and asks the
 lamp's own view whether anything is (`kernels.shadow`): lit and dark pixels are done. The few left over, along the edges
 of shadows, are put into a list, and the second kernel traces rays from them through the scene's triangles: one ray to a
-lamp without size, else six to its rim and, where those disagree, a stratified set over its shape. The share of the light
+lamp without size, else four to its rim and, where those disagree, a stratified set over its shape. The share of the light
 that arrives, in proportion to what each ray would carry, multiplies the closed form, so noise is left in half shadows only.
 
 Deviations from Cycles: materials with transparency cast full shadows; Cycles' push of shadow rays off smooth-shaded,
@@ -22,7 +22,7 @@ from ..core.techniques import DirectParams
 from ..core.transforms import Projection
 from ..kernels import lamps, shadow
 from ..kernels.brdf import albedo_table, fit_lobe
-from ..kernels.bvh import STACK, is_occluded
+from ..kernels.bvh import STACK, Bvh, is_occluded
 from ..kernels.jit import device_jit, pixel_jit, prange
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
@@ -30,12 +30,12 @@ from ..kernels.vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load, norma
 from .base import Context, PassResult, Technique, Transport
 
 NONE, MAP, RAYS = 0, 1, 2   # how a light's shadows are found
-PILOTS = 6                  # rays to the rim of a lamp that decide whether a pixel lies in half shadow
+PILOTS = 4                  # rays to the rim of a lamp that decide whether a pixel lies in half shadow
 BIG_PILOTS = 8              # more of them, inside the shape, for lamps that look large
 BIG = f32(0.1)              # half size over distance from which a lamp looks large
 BLOCK = 32                  # pixels that one thread traces in a row
 TILE_PIXELS = 1 << 17       # pixels between two looks at Esc
-POSITION_ERROR = 2e-6       # of the distance to the viewer and of the coordinates: what a depth pass in float32 leaves
+POSITION_ERROR = f32(2e-6)  # of the distance to the viewer and of the coordinates
 OFFSET = f32(1.5e-6)        # of the coordinates: rounding of a ray's start on its triangle
 SPAN = f32(1e-4)            # of the viewer's distance: how far from its position a pixel's triangle is looked for
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -70,14 +70,16 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
     """
     height, width = frame.gbuffer.shape
     count = height * width
-    pixels, far_m = _pack_pixels(frame)
+    pixels = _pack_pixels(frame)
     surface = np.flatnonzero(frame.gbuffer.mask)
     out = _Sums(np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32), np.zeros(count, np.float32),
                 np.zeros(count, np.float32))
     has_rays = frame.geometry is not None
     bvh = context.bvh(frame.geometry) if has_rays else None
+    far_m = _length_out_of(bvh)
     views = {view.light_index: view for view in frame.views}
     state = np.zeros(count, np.uint8)
+    starts = _Starts(np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.zeros(count, np.uint8))
     asked: dict[str, int] = {}
     tiles = max(1, -(-len(surface) // TILE_PIXELS))
     for index, light in enumerate(frame.lights):
@@ -96,7 +98,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
             left = part[state[part] == shadow.ASK]
             asked[light.name] += len(left)
             if has_rays and len(left):
-                _trace_pixels(left, *common, bvh, params.soft_shadow_rays, out)
+                _trace_pixels(left, *common, shadow_map, starts, bvh, params.soft_shadow_rays, out)
             elif len(left):
                 _ask_map(left, *common, shadow_map, out)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -109,19 +111,27 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
 class _Pixels(NamedTuple):
     """The camera's pixels as kernels take them: (N, 3) and (N,) float32.
 
-    `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `error` bounds in m how far a position
-    is off its surface; alpha, f0 and gain describe the glossy lobe.
+    f0 and gain describe the glossy lobe. `eye` (1, 3) is the camera's position, or for parallel rays the direction to it;
+    `eye_span` is the largest coordinate of the camera's position.
     """
 
     position: np.ndarray
     normal: np.ndarray
     specular: np.ndarray
-    alpha: np.ndarray
+    roughness: np.ndarray
     f0: np.ndarray
     gain: np.ndarray
-    error: np.ndarray
     eye: np.ndarray
+    eye_span: np.float32
     is_parallel: bool
+
+
+class _Starts(NamedTuple):
+    """Where shadow rays of a pixel start, (N, 3), and its triangle's normal on the viewer's side; `known` once found."""
+
+    place: np.ndarray
+    side: np.ndarray
+    known: np.ndarray
 
 
 class _Sums(NamedTuple):
@@ -133,23 +143,26 @@ class _Sums(NamedTuple):
     does: np.ndarray
 
 
-def _pack_pixels(frame: Frame) -> tuple[_Pixels, float]:
-    """The pixels, and a length in m that leads out of the scene from everywhere in it."""
+def _pack_pixels(frame: Frame) -> _Pixels:
     g, camera = frame.gbuffer, frame.camera
     position, normal, specular = (np.ascontiguousarray(a.reshape(-1, 3), np.float32)
                                   for a in (g.position_ws, g.normal_ws, g.specular))
+    roughness = np.ascontiguousarray(g.roughness.ravel(), np.float32)
     is_parallel = camera.projection is Projection.ORTHOGRAPHIC
     eye = camera.world_from_view[:3, 2] if is_parallel else camera.position_ws
-    depth = np.where(g.mask, g.depth, 0).ravel()
-    span = np.abs(position).max(-1, initial=0) + np.abs(camera.position_ws).max()
-    error = ((np.abs(depth) + span) * POSITION_ERROR).astype(np.float32)
-    far_m = 4 * (frame.scale_m + float(span.max(initial=0)))
-    alpha = np.clip(g.roughness.ravel(), 0, 1).astype(np.float32) ** 2
-    f0, gain = np.zeros_like(alpha), np.zeros_like(alpha)
-    pixels = _Pixels(position, normal, specular, alpha, f0, gain, error, np.float32([eye]), is_parallel)
+    pixels = _Pixels(position, normal, specular, roughness, np.zeros_like(roughness), np.zeros_like(roughness),
+                     np.float32([eye]), f32(np.abs(camera.position_ws).max()), is_parallel)
     if specular.any():
         _describe_lobes(pixels, albedo_table())
-    return pixels, far_m
+    return pixels
+
+
+def _length_out_of(bvh: Bvh | None) -> float:
+    """A length in m that leads out of the scene from everywhere in it; 1 without triangles."""
+    if bvh is None or not len(bvh.corners):
+        return 1.0
+    low, high = bvh.boxes[0, :, :3].min(0), bvh.boxes[0, :, 3:].max(0)
+    return 2.0 * float(np.linalg.norm(high - low))
 
 
 def _test_of(light: Light, has_view: bool, has_rays: bool, params: DirectParams) -> int:
@@ -205,19 +218,25 @@ def _viewer(pixels, p):
 
 
 @device_jit
+def _error_of(pixels, p, distance):
+    """How far in m position p may be off its surface: what a depth pass in float32 leaves."""
+    return POSITION_ERROR * (distance + pixels.eye_span + max(abs(p.x), max(abs(p.y), abs(p.z))))
+
+
+@device_jit
 def _describe_lobe(q, pixels, albedos):
     reflectance = max(pixels.specular[q, 0], max(pixels.specular[q, 1], pixels.specular[q, 2]))
     if reflectance > ZERO:
         p, n = load(pixels.position, q), load(pixels.normal, q)
         viewer, _ = _viewer(pixels, p)
         cosine = max(dot(n, viewer), ZERO)
-        pixels.f0[q], pixels.gain[q] = fit_lobe(reflectance, cosine, pixels.alpha[q], albedos)
+        pixels.f0[q], pixels.gain[q] = fit_lobe(reflectance, cosine, pixels.roughness[q] * pixels.roughness[q], albedos)
 
 
 @pixel_jit
 def _describe_lobes(pixels, albedos):
     """Fill f0 and gain of every glossy pixel."""
-    for q in prange(len(pixels.alpha)):
+    for q in prange(len(pixels.roughness)):
         _describe_lobe(q, pixels, albedos)
 
 
@@ -225,7 +244,8 @@ def _describe_lobes(pixels, albedos):
 def _arriving(q, lamp, pixels, p, n, viewer, salt):
     """Unshadowed (irradiance, glossy radiance before colour) of unit strength at pixel q."""
     is_glossy = pixels.specular[q, 0] + pixels.specular[q, 1] + pixels.specular[q, 2] > ZERO
-    diffuse, lobe = lamps.unshadowed(lamp, p, n, viewer, pixels.alpha[q], pixels.f0[q], is_glossy, uniform(q, 0, salt),
+    alpha = pixels.roughness[q] * pixels.roughness[q]
+    diffuse, lobe = lamps.unshadowed(lamp, p, n, viewer, alpha, pixels.f0[q], is_glossy, uniform(q, 0, salt),
                                      uniform(q, 1, salt))
     return diffuse, lobe * pixels.gain[q]
 
@@ -242,14 +262,14 @@ def _add(q, diffuse, glossy, colours, pixels, out):
 def _light_at_pixel(q, lamp, colours, pixels, salt, shadow_map, test, out):
     """Add the unshadowed light if nothing stands between; returns what the map says: LIT, DARK or ASK."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
-    viewer, _ = _viewer(pixels, p)
+    viewer, distance = _viewer(pixels, p)
     diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
     if diffuse <= ZERO and glossy <= ZERO:
         return shadow.DARK
     out.could[q] += colours[6] * diffuse
     answer = shadow.LIT if test == NONE else shadow.ASK
     if test == MAP:
-        answer = shadow.classify(shadow_map, p, pixels.error[q])
+        answer = shadow.classify(shadow_map, p, _error_of(pixels, p, distance))
     if answer == shadow.LIT:
         _add(q, diffuse, glossy, colours, pixels, out)
     return answer
@@ -291,15 +311,14 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, s
         d, _ = lamps.lamp_at(lamp, p, ZERO, ZERO)
         seen = ONE if _is_seen(bvh, stack, start, side, p, d) else ZERO
         return seen, seen
-    count = 0
-    for i in range(PILOTS):
+    count, pilots = 0, PILOTS
+    for i in range(pilots):
         x, y = lamps.rim_point(lamp, i, shift_u)
         d, _ = lamps.lamp_at(lamp, p, x, y)
         if _is_seen(bvh, stack, start, side, p, d):
             count += 1
         if 0 < count <= i:
             break
-    pilots = PILOTS
     if size > BIG and (count == 0 or count == pilots):
         for i in range(BIG_PILOTS):
             u, v = r2_sequence(i, shift_v, shift_u)
@@ -330,32 +349,43 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, s
 
 
 @device_jit
-def _trace_at_pixel(q, lamp, colours, pixels, salt, bvh, stack, rays, out):
+def _trace_at_pixel(q, lamp, colours, pixels, salt, shadow_map, starts, bvh, stack, rays, out):
     p, n = load(pixels.position, q), load(pixels.normal, q)
     viewer, distance = _viewer(pixels, p)
     diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
-    start, side = _ray_start(bvh, stack, p, n, viewer, distance, pixels.error[q])
-    share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, pixels.alpha[q], pixels.f0[q], rays,
-                                       uniform(q, 2, salt), uniform(q, 3, salt))
-    _add(q, diffuse * share, glossy * glossy_share, colours, pixels, out)
+    error = _error_of(pixels, p, distance)
+    if starts.known[q] == 0:
+        start, side = _ray_start(bvh, stack, p, n, viewer, distance, error)
+        starts.place[q, 0], starts.place[q, 1], starts.place[q, 2] = start
+        starts.side[q, 0], starts.side[q, 1], starts.side[q, 2] = side
+        starts.known[q] = 1
+    start, side = load(starts.place, q), load(starts.side, q)
+    share, glossy_share = ONE, ONE
+    answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO else shadow.ASK
+    if answer == shadow.ASK:
+        alpha = pixels.roughness[q] * pixels.roughness[q]
+        share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, pixels.f0[q], rays,
+                                           uniform(q, 2, salt), uniform(q, 3, salt))
+    if answer != shadow.DARK:
+        _add(q, diffuse * share, glossy * glossy_share, colours, pixels, out)
 
 
 @pixel_jit
-def _trace_pixels(index, lamp, colours, pixels, salt, bvh, rays, out):
-    """Add the light that rays find at the pixels of `index`."""
+def _trace_pixels(index, lamp, colours, pixels, salt, shadow_map, starts, bvh, rays, out):
+    """Add the light that a second look at the map, and rays, find at the pixels of `index`."""
     blocks = (len(index) + BLOCK - 1) // BLOCK
     for block in prange(blocks):
         stack = np.empty(STACK, np.int32)
         for k in range(block * BLOCK, min((block + 1) * BLOCK, len(index))):
-            _trace_at_pixel(index[k], lamp, colours, pixels, salt, bvh, stack, rays, out)
+            _trace_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, starts, bvh, stack, rays, out)
 
 
 @device_jit
 def _ask_map_at_pixel(q, lamp, colours, pixels, salt, shadow_map, out):
     p, n = load(pixels.position, q), load(pixels.normal, q)
-    viewer, _ = _viewer(pixels, p)
+    viewer, distance = _viewer(pixels, p)
     diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
-    share = shadow.map_visibility(shadow_map, p, pixels.error[q])
+    share = shadow.map_visibility(shadow_map, p, _error_of(pixels, p, distance))
     _add(q, diffuse * share, glossy * share, colours, pixels, out)
 
 
