@@ -59,8 +59,8 @@ def _grow(b, c):
 @device_jit
 def _sah_cut(box, index, start, end, axis, low, scale, count, bins, right, run):
     """Bin after which to cut, by the surface area heuristic, or -1."""
-    count[:] = 0
     for q in range(BINS):
+        count[q] = 0
         _clear(bins[q])
     for k in range(start, end):
         b = box[index[k]]
@@ -118,7 +118,8 @@ def _build(tris):
                 c = b[a] + b[a + 3]
                 centres[a], centres[a + 3] = min(centres[a], c), max(centres[a + 3], c)
         if parent >= 0:
-            boxes[parent, side] = whole
+            for a in range(6):
+                boxes[parent, side, a] = whole[a]
         axis = 0
         for a in range(1, 3):
             if centres[a + 3] - centres[a] > centres[axis + 3] - centres[axis]:

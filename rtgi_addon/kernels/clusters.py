@@ -44,25 +44,16 @@ class Clusters(NamedTuple):
     running: np.ndarray
 
 
-@device_jit
-def _reflects(albedo, specular, flux, i, j, use_glossy):
-    """Does texel (i, j) send any light back?"""
-    reflected = ZERO
-    for a in range(3):
-        reflected += flux[i, j, a] * (albedo[i, j, a] + (specular[i, j, a] if use_glossy else ZERO))
-    return reflected > ZERO
-
-
 @pixel_jit
-def fill_texels(table, offset, first, position, normal, albedo, specular, roughness, flux, light_position, to_sun,
+def fill_texels(table, first, reflects, position, normal, albedo, specular, roughness, flux, light_position, to_sun,
                 is_sun, albedos, use_glossy):
-    """Write the lit texels of one view to columns `offset` + first[row] + ... of `table`, row by row of the image."""
+    """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row."""
     height, width = roughness.shape
     for i in prange(height):
-        k = offset + first[i]
+        k = first[i]
         for j in range(width):
-            if not _reflects(albedo, specular, flux, i, j, use_glossy):
-                continue                         # before anything is written: column k is the next row's after the last
+            if not reflects[i, j]:
+                continue
             p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
             w = to_sun if is_sun else normalized_or(sub(light_position, p), n)
             alpha = min(max(roughness[i, j] * roughness[i, j], MIN_ALPHA), ONE)
@@ -80,18 +71,6 @@ def fill_texels(table, offset, first, position, normal, albedo, specular, roughn
             table[ALPHA2, k] = alpha * alpha if glossy > LOBE_SHARE * (diffuse + glossy) else NO_LOBE
             table[F0, k] = f0
             k += 1
-
-
-@pixel_jit
-def count_texels(albedo, specular, flux, use_glossy):
-    """(H,) int64 number of texels a row that reflect light."""
-    out = np.zeros(flux.shape[0], np.int64)
-    for i in prange(flux.shape[0]):
-        count = 0
-        for j in range(flux.shape[1]):
-            count += 1 if _reflects(albedo, specular, flux, i, j, use_glossy) else 0
-        out[i] = count
-    return out
 
 
 @device_jit
@@ -126,12 +105,14 @@ def _partition(feature, order, start, end, axis, cut):
 
 
 @device_jit
-def _split(feature, weight, order, first, last, number, start, end):
+def _split(feature, weight, order, first, last, number, start, end, cost):
     """Best-first split of order[first:last] into at most `number` runs, written to start and end; returns how many.
+
+    `cost` gets the weighted variance of each run.
 
     Each step halves the cluster of largest weighted variance at the weighted mean of its widest feature.
     """
-    cost, cut, axis = np.zeros(number), np.zeros(number), np.zeros(number, np.int64)
+    cut, axis = np.zeros(number), np.zeros(number, np.int64)
     m1, m2 = np.zeros(6), np.zeros(6)
     start[0], end[0], used = first, last, 1
     changed0, changed1 = 0, -1
@@ -162,32 +143,14 @@ def _split(feature, weight, order, first, last, number, start, end):
         used += 1
 
 
-@device_jit
-def _variance(feature, weight, order, start, end):
-    m1, m2 = np.zeros(6), np.zeros(6)
-    total = _moments(feature, weight, order, start, end, m1, m2)
-    out = 0.0
-    if total > 0:
-        for a in range(6):
-            out += max(0.0, m2[a] - m1[a] * m1[a] / total)
-    return out
-
-
-@pixel_jit
-def _group_variances(feature, weight, order, start, end):
-    out = np.zeros(start.shape[0])
-    for g in prange(start.shape[0]):
-        out[g] = _variance(feature, weight, order, start[g], end[g])
-    return out
-
-
 @pixel_jit
 def _split_groups(feature, weight, order, group_start, group_end, budget, first, start, end):
     """Split each group into at most budget[g] clusters, written from index first[g]; returns how many each got."""
     used = np.zeros(group_start.shape[0], np.int64)
     for g in prange(group_start.shape[0]):
         a, b = first[g], first[g] + budget[g]
-        used[g] = _split(feature, weight, order, group_start[g], group_end[g], budget[g], start[a:b], end[a:b])
+        used[g] = _split(feature, weight, order, group_start[g], group_end[g], budget[g], start[a:b], end[a:b],
+                         np.zeros(budget[g]))
     return used
 
 
@@ -198,13 +161,13 @@ def _split_texels(feature: np.ndarray, weight: np.ndarray, number: int) -> tuple
     """(order, start, end): texel indices in cluster order, and each cluster's run in it."""
     order = np.arange(len(weight))
     groups = min(GROUPS, number)
-    start, end = np.zeros(groups, np.int64), np.zeros(groups, np.int64)
-    used = _split(feature, weight, order, 0, len(weight), groups, start, end)
+    start, end, variance = np.zeros(groups, np.int64), np.zeros(groups, np.int64), np.zeros(groups)
+    used = _split(feature, weight, order, 0, len(weight), groups, start, end, variance)
     start, end = start[:used], end[:used]
     if number <= groups:
         return order, start, end
     # with n clusters a part's variance falls about as n^-2 in one dimension and n^-1 in two: share by the square root
-    root = np.sqrt(_group_variances(feature, weight, order, start, end))
+    root = np.sqrt(variance[:used])
     share = root / root.sum() if root.sum() > 0 else np.full(used, 1 / used)
     budget = np.maximum(1, np.floor(share * (number - used))).astype(np.int64)
     first = np.concatenate([[0], np.cumsum(budget)[:-1]])
@@ -213,28 +176,6 @@ def _split_texels(feature: np.ndarray, weight: np.ndarray, number: int) -> tuple
     kept = np.concatenate([np.arange(a, a + n) for a, n in zip(first, got, strict=True)])
     by_column = kept[np.argsort(all_start[kept], kind="stable")]
     return order, all_start[by_column], all_end[by_column]
-
-
-@pixel_jit
-def _features(table, normal_scale):
-    out = np.empty((table.shape[1], 6), np.float32)
-    weight = np.empty(table.shape[1], np.float32)
-    for k in prange(table.shape[1]):
-        for a in range(3):
-            out[k, a] = table[POSITION + a, k]
-            out[k, 3 + a] = table[NORMAL + a, k] * normal_scale
-        weight[k] = (table[DIFFUSE, k] + table[DIFFUSE + 1, k] + table[DIFFUSE + 2, k]
-                     + table[GLOSSY, k] + table[GLOSSY + 1, k] + table[GLOSSY + 2, k])
-    return out, weight
-
-
-@pixel_jit
-def _reorder(table, order):
-    out = np.empty(table.shape, np.float32)
-    for r in prange(table.shape[0]):
-        for k in range(table.shape[1]):
-            out[r, k] = table[r, order[k]]
-    return out
 
 
 @pixel_jit
@@ -278,8 +219,11 @@ def _summarise(T, start, end):
 
 def cluster_texels(table: np.ndarray, number: int, scale_m: float) -> Clusters:
     """Group the columns of a (17, N) texel table, N >= 1, into at most `number` clusters; `scale_m` is the scene's size."""
-    feature, weight = _features(table, f32(NORMAL_WEIGHT * scale_m))
+    feature = np.empty((table.shape[1], 6), np.float32)
+    feature[:, :3] = table[POSITION:POSITION + 3].T
+    np.multiply(table[NORMAL:NORMAL + 3].T, np.float32(NORMAL_WEIGHT * scale_m), out=feature[:, 3:])
+    weight = table[DIFFUSE:DIFFUSE + 3].sum(0) + table[GLOSSY:GLOSSY + 3].sum(0)
     order, start, end = _split_texels(feature, weight, min(number, table.shape[1]))
-    texels = _reorder(table, order)
+    texels = np.take(table, order, axis=1)
     running = np.concatenate([[0.0], np.cumsum(weight[order], dtype=np.float64)])
     return Clusters(texels, _summarise(texels, start, end), start, end, running)

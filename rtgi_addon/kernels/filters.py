@@ -124,8 +124,11 @@ def regress_lattice(light, pilot, position, normal, mask, rcp_tolerance, radius,
             tangent, bitangent = tangent_frame(n)
             unshadowed = light[i, j, 3]
             inv_unshadowed = ONE / max(unshadowed, f32(1e-30))
-            a[:] = ZERO
-            b[:] = ZERO
+            for r in range(4):
+                for c in range(4):
+                    a[r, c] = ZERO
+                for c in range(3):
+                    b[r, c] = ZERO
             for u in range(max(i - radius, 0), min(i + radius + 1, height)):
                 for v in range(max(j - radius, 0), min(j + radius + 1, width)):
                     if not mask[u, v]:
@@ -155,3 +158,29 @@ def regress_lattice(light, pilot, position, normal, mask, rcp_tolerance, radius,
             red, green, blue = _solve_intercept(a, b, ridge)
             out[i, j, 0], out[i, j, 1], out[i, j, 2] = max(red, ZERO), max(green, ZERO), max(blue, ZERO)
     return out
+
+
+@pixel_jit
+def smooth_marked(light, marked, position, normal, mask, rcp_tolerance):
+    """In place: the `marked` pixels of (H, W, 3) light become the mean of their 5x5 neighbours of like plane and normal.
+
+    They were gathered one by one, each with noise of its own, and lie in a row along a crease.
+    """
+    height, width = mask.shape
+    before = light.copy()
+    for i in prange(height):
+        for j in range(width):
+            if not marked[i, j]:
+                continue
+            p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
+            total, red, green, blue = ZERO, ZERO, ZERO, ZERO
+            for u in range(max(i - 2, 0), min(i + 3, height)):
+                for v in range(max(j - 2, 0), min(j + 3, width)):
+                    if mask[u, v]:
+                        k = _likeness(p, n, load_pixel(position, u, v), load_pixel(normal, u, v), rcp_tolerance[i, j])
+                        total += k
+                        red += k * before[u, v, 0]
+                        green += k * before[u, v, 1]
+                        blue += k * before[u, v, 2]
+            if total > ZERO:
+                light[i, j, 0], light[i, j, 1], light[i, j, 2] = red / total, green / total, blue / total

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.frame import Frame
 from ..core.transforms import Camera, Projection
-from ..kernels.filters import pilot_means, regress_lattice, spread_lattice
+from ..kernels.filters import pilot_means, regress_lattice, smooth_marked, spread_lattice
 from ..kernels.vec3 import f32
 from .base import Context
 
@@ -71,5 +71,6 @@ def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, con
     out, weak = spread_lattice(smooth, position_l, normal_l, mask_l, g.position_ws, g.normal_ws, mask, rcp_tolerance, step_px)
     if weak.any():
         out[weak] = gather_in_tiles(gather, g.position_ws[weak], g.normal_ws[weak], ids[weak], seed + 1, context, text, 5)[:, :3]
+        smooth_marked(out, weak, g.position_ws, g.normal_ws, mask, rcp_tolerance)
     surface = max(int(mask.sum()), 1)
     return out, {"gathered_share": float((mask_l.sum() + weak.sum()) / surface), "weak_share": float(weak.sum() / surface)}

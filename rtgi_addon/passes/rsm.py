@@ -21,7 +21,7 @@ import numpy as np
 from ..core.frame import Frame, LightKind, LightView
 from ..core.techniques import RsmParams
 from ..kernels.brdf import albedo_table
-from ..kernels.clusters import ROWS, cluster_texels, count_texels, fill_texels
+from ..kernels.clusters import ROWS, cluster_texels, fill_texels
 from ..kernels.gather import gather_visible
 from ..kernels.vec3 import f32, vector
 from ..kernels.vpl import gather_all, gather_polar, thin_texels
@@ -32,17 +32,22 @@ RAY_OFFSET = 2e-5           # of the scene's size: both ends of a shadow ray are
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
+def _reflecting(view: LightView, use_glossy: bool) -> np.ndarray:
+    """(H, W) bool: texels that send light back."""
+    g = view.gbuffer
+    colour = g.albedo + g.specular if use_glossy else g.albedo
+    return np.einsum("hwc,hwc->hw", view.incident_flux, colour) > 0
+
+
 def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
     """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture."""
-    counted = [(view, count_texels(view.gbuffer.albedo, view.gbuffer.specular, view.incident_flux, use_glossy))
-               for view in frame.views]
-    table = np.empty((ROWS, sum(int(count.sum()) for _, count in counted)), np.float32)
+    reflecting = [_reflecting(view, use_glossy) for view in frame.views]
+    table = np.empty((ROWS, sum(int(np.count_nonzero(r)) for r in reflecting)), np.float32)
     offset = 0
-    for view, count in counted:
-        g, light = view.gbuffer, frame.lights[view.light_index]
-        first = np.cumsum(count) - count
-        fill_texels(table, offset, first, g.position_ws, g.normal_ws, g.albedo, g.specular, g.roughness,
-                    view.incident_flux, vector(light.position_ws), vector(-light.direction_ws),
+    for view, reflects in zip(frame.views, reflecting, strict=True):
+        g, light, count = view.gbuffer, frame.lights[view.light_index], np.count_nonzero(reflects, axis=1)
+        fill_texels(table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo, g.specular,
+                    g.roughness, view.incident_flux, vector(light.position_ws), vector(-light.direction_ws),
                     light.kind is LightKind.SUN, albedo_table(), use_glossy)
         offset += int(count.sum())
     return table
