@@ -1,7 +1,7 @@
 """What lamps of every shape send to a point: sampled over the shape, and summed without shadows.
 
-A lamp of unit strength; its colour and power multiply later. `lamp_sample` gives the vector from a point to a place on
-the lamp and a weight such that the mean of weight x cos(receiver) over the shape is the irradiance. The shapes follow
+A lamp of unit strength; its colour and power multiply later. `lamp_at` gives the vector from a point to a place on the
+lamp and a weight such that the mean of weight x cos(receiver) over the shape is the irradiance. The shapes follow
 Cycles: a point or spot is a disk that turns towards the receiver (Blender's "soft falloff"), or a sphere; a sun is a
 cone of directions; rectangles and ellipses shine on one side, narrowed by a grid of tubes if they have a spread.
 """
@@ -115,27 +115,28 @@ def lamp_at(lamp, p, x, y):
 
 
 @device_jit
-def lamp_sample(lamp, p, u, v):
-    """`lamp_at` for (u, v) in [0, 1)^2, evenly over the shape; with a narrow spread, over the part that p can see."""
-    if lamp.kind == RECTANGLE_LAMP or lamp.spread_gain > ZERO:
-        low_x, high_x, low_y, high_y, share = -ONE, ONE, -ONE, ONE, ONE
-        if lamp.spread_gain > ZERO:
-            to = sub(p, load(lamp.places, POSITION))
-            reach = dot(to, load(lamp.places, DIRECTION)) * lamp.tan_spread
-            x, y = dot(to, load(lamp.places, AXIS_X)), dot(to, load(lamp.places, AXIS_Y))
-            low_x, high_x = max((x - reach) / lamp.half_x, -ONE), min((x + reach) / lamp.half_x, ONE)
-            low_y, high_y = max((y - reach) / lamp.half_y, -ONE), min((y + reach) / lamp.half_y, ONE)
-            if low_x >= high_x or low_y >= high_y:
-                return to, ZERO
-            share = (high_x - low_x) * (high_y - low_y) / f32(4)
-        x, y = low_x + u * (high_x - low_x), low_y + v * (high_y - low_y)
-        if lamp.kind == RECTANGLE_LAMP:
-            d, weight = lamp_at(lamp, p, x, y)
-            return d, weight * share
-        d, weight = lamp_at(lamp, p, x, y)
-        return d, (weight * share * f32(4 / math.pi) if x * x + y * y <= ONE else ZERO)
-    x, y = disk(u, v)
-    return lamp_at(lamp, p, x, y)
+def lamp_place(lamp, p, u, v):
+    """(x, y, share) for `lamp_at` from (u, v) in [0, 1)^2, evenly over the shape; `share` multiplies the weight.
+
+    With a narrow spread only the rectangle around the part that p can see is used.
+    """
+    if lamp.kind != RECTANGLE_LAMP and lamp.spread_gain == ZERO:
+        x, y = disk(u, v)
+        return x, y, ONE
+    low_x, high_x, low_y, high_y, share = -ONE, ONE, -ONE, ONE, ONE
+    if lamp.spread_gain > ZERO:
+        to = sub(p, load(lamp.places, POSITION))
+        reach = dot(to, load(lamp.places, DIRECTION)) * lamp.tan_spread
+        x, y = dot(to, load(lamp.places, AXIS_X)), dot(to, load(lamp.places, AXIS_Y))
+        low_x, high_x = max((x - reach) / lamp.half_x, -ONE), min((x + reach) / lamp.half_x, ONE)
+        low_y, high_y = max((y - reach) / lamp.half_y, -ONE), min((y + reach) / lamp.half_y, ONE)
+        if low_x >= high_x or low_y >= high_y:
+            return ZERO, ZERO, ZERO
+        share = (high_x - low_x) * (high_y - low_y) / f32(4)
+    x, y = low_x + u * (high_x - low_x), low_y + v * (high_y - low_y)
+    if lamp.kind != RECTANGLE_LAMP:
+        share = share * f32(4 / math.pi) if x * x + y * y <= ONE else ZERO
+    return x, y, share
 
 
 @device_jit
@@ -206,58 +207,60 @@ def _part_above(height, size):
 
 
 @device_jit
-def _glossy_at(n, viewer, d, weight, alpha2, f0):
-    return weight * ggx_lobe(n, viewer, normalized_or(d, n), alpha2, f0)
+def apparent_size(lamp, p):
+    """Half size of the lamp over its distance from p, as seen face on."""
+    if lamp.kind == SUN_LAMP:
+        return lamp.half_x
+    return max(lamp.half_x, lamp.half_y) / max(length(sub(load(lamp.places, POSITION), p)), f32(1e-20))
 
 
 @device_jit
 def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
     """(irradiance, integral of radiance x glossy lobe) at p from a lamp of unit strength, nothing standing between.
 
-    The lobe is widened by the part of the lamp that each of the sum's samples stands for.
+    One sample serves a lamp that looks tiny, four a small one, and many an area light that looks large or is narrow; the
+    lobe is widened by the part of the lamp that a sample stands for. Large Lambertian areas have a closed form.
     """
-    diffuse, glossy = ZERO, ZERO
-    to = sub(load(lamp.places, POSITION), p)
+    size = apparent_size(lamp, p)
     is_area = lamp.kind >= RECTANGLE_LAMP
-    if is_area and dot(to, load(lamp.places, DIRECTION)) >= ZERO:
-        return ZERO, ZERO
-    size = max(lamp.half_x, lamp.half_y) if lamp.kind != SUN_LAMP else lamp.half_x
+    towards = scaled(load(lamp.places, DIRECTION), -ONE)
+    axis = towards
     if lamp.kind != SUN_LAMP:
-        size /= max(length(to), f32(1e-20))
-    axis = normalized_or(to, n) if lamp.kind != SUN_LAMP else scaled(load(lamp.places, DIRECTION), -ONE)
+        to = sub(load(lamp.places, POSITION), p)
+        if is_area and dot(to, towards) <= ZERO:
+            return ZERO, ZERO
+        axis = normalized_or(to, n)
     height = dot(n, axis)
     if height < -size and not is_area:
         return ZERO, ZERO
-    if lamp.spread_gain > ZERO or (is_area and (size > NEAR or abs(height) < f32(2) * size)):
-        widened = max(alpha, f32(0.12) * min(size, ONE))
-        is_closed = lamp.spread_gain == ZERO
-        if is_closed:
-            diffuse = _polygon_irradiance(lamp, p, n)
-        if is_glossy or not is_closed:
-            for i in range(AREA_SAMPLES):
-                u, v = r2_sequence(i, shift_u, shift_v)
-                d, weight = lamp_sample(lamp, p, u, v)
-                if not is_closed:
-                    diffuse += weight * max(dot(n, normalized_or(d, n)), ZERO) / f32(AREA_SAMPLES)
-                if is_glossy and weight > ZERO:
-                    glossy += _glossy_at(n, viewer, d, weight, widened * widened, f0) / f32(AREA_SAMPLES)
-        return diffuse, glossy
-    if size < TINY and not is_area and abs(height) >= size:
-        d, weight = lamp_at(lamp, p, ZERO, ZERO)
-        diffuse = weight * max(dot(n, normalized_or(d, n)), ZERO)
-        if is_glossy and weight > ZERO:
-            widened = max(max(alpha, HALF * size), LEAST_ALPHA)
-            glossy = _glossy_at(n, viewer, d, weight, widened * widened, f0)
-        return diffuse, glossy
-    carried = ZERO
+    count, widening = 4, f32(0.25) * size
+    is_closed = is_area and lamp.spread_gain == ZERO and (size > NEAR or abs(height) < f32(2) * size)
+    if is_closed or lamp.spread_gain > ZERO:
+        count, widening = AREA_SAMPLES, f32(0.12) * min(size, ONE)
+        if is_closed and not is_glossy:
+            count = 0
+    elif size < TINY and not is_area and abs(height) >= size:
+        count, widening = 1, HALF * size
+    alpha = max(max(alpha, widening), LEAST_ALPHA)
     node = GAUSS if lamp.kind == RECTANGLE_LAMP else HALF
-    widened = max(max(alpha, f32(0.25) * size), LEAST_ALPHA)
-    for i in range(4):
-        d, weight = lamp_at(lamp, p, node if i & 1 else -node, node if i & 2 else -node)
-        carried += weight * f32(0.25)
-        diffuse += weight * max(dot(n, normalized_or(d, n)), ZERO) * f32(0.25)
-        if is_glossy and weight > ZERO:
-            glossy += _glossy_at(n, viewer, d, weight, widened * widened, f0) * f32(0.25)
-    if abs(height) < size and not is_area:
+    diffuse, glossy, carried = ZERO, ZERO, ZERO
+    for i in range(count):
+        x, y, share = ZERO, ZERO, ONE
+        if count == AREA_SAMPLES:
+            u, v = r2_sequence(i, shift_u, shift_v)
+            x, y, share = lamp_place(lamp, p, u, v)
+        elif count == 4:
+            x, y = node if i & 1 else -node, node if i & 2 else -node
+        d, weight = lamp_at(lamp, p, x, y)
+        weight *= share / f32(count)
+        if weight > ZERO:
+            unit = normalized_or(d, n)
+            carried += weight
+            diffuse += weight * max(dot(n, unit), ZERO)
+            if is_glossy:
+                glossy += weight * ggx_lobe(n, viewer, unit, alpha * alpha, f0)
+    if is_closed:
+        diffuse = _polygon_irradiance(lamp, p, n)
+    elif abs(height) < size and not is_area:
         diffuse = carried * _part_above(height, size)
     return diffuse, glossy

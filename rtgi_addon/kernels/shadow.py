@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .bvh import closest_hit, triangle_normal
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, scaled
 
 PERSPECTIVE, ORTHOGRAPHIC, EQUIRECTANGULAR = 0, 1, 2
@@ -66,19 +66,18 @@ def build_shadow_map(projection: int, view_from_world: np.ndarray, left: float, 
     safe = np.where(seen, depth, 1)
     height = np.where(seen, -safe if projection == ORTHOGRAPHIC else 1 / safe, NOTHING).astype(np.float32)
     k = f32(source / min(step_x, step_y))
-    broken = np.zeros(height.shape, np.uint8)
-    reach, tallest = np.empty(height.shape, np.float32), np.empty(height.shape, np.float32)
     row_scale = np.ones(len(height), np.float32)
     if projection == EQUIRECTANGULAR:
         latitude = top - (np.arange(len(height)) + 0.5) * step_y
         row_scale = (1 / np.maximum(np.cos(latitude), POLE)).astype(np.float32)
     is_wrapped = projection == EQUIRECTANGULAR and abs(step_x * height.shape[1] - 2 * math.pi) < 1e-3
-    _find_jumps(height, projection == ORTHOGRAPHIC, is_wrapped, f32(max(step_x, step_y)), k, row_scale, broken, reach,
-                tallest)
+    tallest = _find_jumps(height, TOLERANCE_PX * max(step_x, step_y), projection == ORTHOGRAPHIC, is_wrapped)
+    broken = tallest != NOTHING
+    reach = np.where(broken, k * row_scale[:, None] * tallest, NOTHING)
     for _ in range(2 if is_wrapped else 1):
         _spread_reach(reach, tallest, is_wrapped)
     return ShadowMap(projection, np.ascontiguousarray(view_from_world[:3], np.float32), f32(left), f32(top), f32(step_x),
-                     f32(step_y), height, reach, tallest, broken, k)
+                     f32(step_y), height, reach, tallest, broken.view(np.uint8), k)
 
 
 def no_shadow_map() -> ShadowMap:
@@ -87,52 +86,40 @@ def no_shadow_map() -> ShadowMap:
                      np.full((1, 1), NOTHING), np.full((1, 1), NOTHING), np.ones((1, 1), np.uint8), ZERO)
 
 
-@device_jit
-def _height_or_nothing(height, i, j, is_wrapped):
-    rows, columns = height.shape
-    if is_wrapped:
-        j %= columns
-    if i < 0 or j < 0 or i >= rows or j >= columns:
-        return NOTHING
-    return height[i, j]
+def _shifted(height: np.ndarray, rows: int, columns: int, is_wrapped: bool) -> np.ndarray:
+    """`height` at (i + rows, j + columns); NOTHING outside."""
+    out = np.roll(height, (-rows, -columns), (0, 1))
+    if rows:
+        out[slice(-rows, None) if rows > 0 else slice(None, -rows)] = NOTHING
+    if columns and not is_wrapped:
+        out[:, slice(-columns, None) if columns > 0 else slice(None, -columns)] = NOTHING
+    return out
 
 
-@device_jit
-def _is_jump(height, i, j, di, dj, is_orthographic, is_wrapped, step):
-    """Is there a gap between texel (i, j) and its neighbour at (+di, +dj)?
+def _find_jumps(height: np.ndarray, slack_scale: float, is_orthographic: bool, is_wrapped: bool) -> np.ndarray:
+    """(H, W) float32: the taller side's height beside a gap between two neighbouring texels, NOTHING elsewhere.
 
-    Neither plane nor crease explains it if the step between the two lies outside the steps on their far sides.
+    Neither a plane nor a crease explains a step between two texels that lies outside the steps on their far sides.
     """
-    a, b = height[i, j], _height_or_nothing(height, i + di, j + dj, is_wrapped)
-    if a == NOTHING or b == NOTHING:
-        return a != b
-    before, after = (_height_or_nothing(height, i - di, j - dj, is_wrapped),
-                     _height_or_nothing(height, i + 2 * di, j + 2 * dj, is_wrapped))
-    gap = b - a
-    left = a - before if before != NOTHING else (after - b if after != NOTHING else ZERO)
-    right = after - b if after != NOTHING else left
-    slack = TOLERANCE_PX * step * (ONE if is_orthographic else max(a, b))
-    return gap < min(left, right) - slack or gap > max(left, right) + slack
-
-
-@pixel_jit
-def _find_jumps(height, is_orthographic, is_wrapped, step, k, row_scale, broken, reach, tallest):
-    rows, columns = height.shape
-    for i in prange(rows):
-        for j in range(columns):
-            top = NOTHING
-            if (j + 1 < columns or is_wrapped) and _is_jump(height, i, j, 0, 1, is_orthographic, is_wrapped, step):
-                top = max(top, max(height[i, j], _height_or_nothing(height, i, j + 1, is_wrapped)))
-            before = (j - 1) % columns
-            if (j > 0 or is_wrapped) and _is_jump(height, i, before, 0, 1, is_orthographic, is_wrapped, step):
-                top = max(top, max(height[i, j], height[i, before]))
-            if i + 1 < rows and _is_jump(height, i, j, 1, 0, is_orthographic, is_wrapped, step):
-                top = max(top, max(height[i, j], height[i + 1, j]))
-            if i > 0 and _is_jump(height, i - 1, j, 1, 0, is_orthographic, is_wrapped, step):
-                top = max(top, max(height[i, j], height[i - 1, j]))
-            broken[i, j] = np.uint8(top != NOTHING)
-            reach[i, j] = k * row_scale[i] * top if top != NOTHING else NOTHING
-            tallest[i, j] = top
+    top = np.full_like(height, NOTHING)
+    for rows, columns in ((0, 1), (1, 0)):
+        before, after, last = (_shifted(height, k * rows, k * columns, is_wrapped) for k in (-1, 1, 2))
+        gap, left, right = after - height, height - before, last - after
+        left = np.where(before != NOTHING, left, np.where(last != NOTHING, right, 0))
+        right = np.where(last != NOTHING, right, left)
+        slack = np.float32(slack_scale) * (np.float32(1) if is_orthographic else np.maximum(height, after))
+        is_jump = (gap < np.minimum(left, right) - slack) | (gap > np.maximum(left, right) + slack)
+        seen, seen_after = height != NOTHING, after != NOTHING
+        is_jump = np.where(seen & seen_after, is_jump, seen != seen_after)
+        if rows:
+            is_jump[-1] = False
+        elif not is_wrapped:
+            is_jump[:, -1] = False
+        taller = np.where(is_jump, np.maximum(height, after), NOTHING)
+        # the gap after texel (i, j) is the gap before the next one
+        np.maximum(top, taller, out=top)
+        np.maximum(top, _shifted(taller, -rows, -columns, is_wrapped), out=top)
+    return top
 
 
 @device_jit

@@ -79,6 +79,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
     far_m = _length_out_of(bvh)
     views = {view.light_index: view for view in frame.views}
     state = np.zeros(count, np.uint8)
+    bare = _Bare(np.empty(count, np.float32), np.empty(count, np.float32))
     starts = _Starts(np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.zeros(count, np.uint8))
     asked: dict[str, int] = {}
     tiles = max(1, -(-len(surface) // TILE_PIXELS))
@@ -94,13 +95,13 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
         for tile in range(tiles):
             context.checkpoint("Direct light", (index + tile / tiles) / len(frame.lights))
             part = surface[tile * len(surface) // tiles:(tile + 1) * len(surface) // tiles]
-            _light_pixels(part, *common, shadow_map, test, out, state)
+            _light_pixels(part, *common, shadow_map, test, bare, out, state)
             left = part[state[part] == shadow.ASK]
             asked[light.name] += len(left)
             if has_rays and len(left):
-                _trace_pixels(left, *common, shadow_map, starts, bvh, params.soft_shadow_rays, out)
+                _trace_pixels(left, *common, shadow_map, bare, starts, bvh, params.soft_shadow_rays, out)
             elif len(left):
-                _ask_map(left, *common, shadow_map, out)
+                _ask_map(left, colours, pixels, shadow_map, bare, out)
     with np.errstate(divide="ignore", invalid="ignore"):
         visibility = np.where(out.could > 0, np.clip(out.does / out.could, 0, 1), 1).astype(np.float32)
     return PassResult({Transport.DIRECT_DIFFUSE: out.diffuse.reshape(height, width, 3),
@@ -111,19 +112,25 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
 class _Pixels(NamedTuple):
     """The camera's pixels as kernels take them: (N, 3) and (N,) float32.
 
-    f0 and gain describe the glossy lobe. `eye` (1, 3) is the camera's position, or for parallel rays the direction to it;
-    `eye_span` is the largest coordinate of the camera's position.
+    `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `eye_span` is the largest coordinate
+    of the camera's position; `albedos` is `brdf.albedo_table()`.
     """
 
     position: np.ndarray
     normal: np.ndarray
     specular: np.ndarray
     roughness: np.ndarray
-    f0: np.ndarray
-    gain: np.ndarray
     eye: np.ndarray
     eye_span: np.float32
     is_parallel: bool
+    albedos: np.ndarray
+
+
+class _Bare(NamedTuple):
+    """What one lamp would send with nothing in between, (N,) each: irradiance, and glossy radiance before its colour."""
+
+    diffuse: np.ndarray
+    glossy: np.ndarray
 
 
 class _Starts(NamedTuple):
@@ -147,14 +154,10 @@ def _pack_pixels(frame: Frame) -> _Pixels:
     g, camera = frame.gbuffer, frame.camera
     position, normal, specular = (np.ascontiguousarray(a.reshape(-1, 3), np.float32)
                                   for a in (g.position_ws, g.normal_ws, g.specular))
-    roughness = np.ascontiguousarray(g.roughness.ravel(), np.float32)
     is_parallel = camera.projection is Projection.ORTHOGRAPHIC
     eye = camera.world_from_view[:3, 2] if is_parallel else camera.position_ws
-    pixels = _Pixels(position, normal, specular, roughness, np.zeros_like(roughness), np.zeros_like(roughness),
-                     np.float32([eye]), f32(np.abs(camera.position_ws).max()), is_parallel)
-    if specular.any():
-        _describe_lobes(pixels, albedo_table())
-    return pixels
+    return _Pixels(position, normal, specular, np.ascontiguousarray(g.roughness.ravel(), np.float32), np.float32([eye]),
+                   f32(np.abs(camera.position_ws).max()), is_parallel, albedo_table())
 
 
 def _length_out_of(bvh: Bvh | None) -> float:
@@ -224,30 +227,14 @@ def _error_of(pixels, p, distance):
 
 
 @device_jit
-def _describe_lobe(q, pixels, albedos):
+def _lobe_of(q, pixels, n, viewer):
+    """(is there a glossy lobe, its alpha, reflectance at normal incidence, gain) of pixel q."""
     reflectance = max(pixels.specular[q, 0], max(pixels.specular[q, 1], pixels.specular[q, 2]))
-    if reflectance > ZERO:
-        p, n = load(pixels.position, q), load(pixels.normal, q)
-        viewer, _ = _viewer(pixels, p)
-        cosine = max(dot(n, viewer), ZERO)
-        pixels.f0[q], pixels.gain[q] = fit_lobe(reflectance, cosine, pixels.roughness[q] * pixels.roughness[q], albedos)
-
-
-@pixel_jit
-def _describe_lobes(pixels, albedos):
-    """Fill f0 and gain of every glossy pixel."""
-    for q in prange(len(pixels.roughness)):
-        _describe_lobe(q, pixels, albedos)
-
-
-@device_jit
-def _arriving(q, lamp, pixels, p, n, viewer, salt):
-    """Unshadowed (irradiance, glossy radiance before colour) of unit strength at pixel q."""
-    is_glossy = pixels.specular[q, 0] + pixels.specular[q, 1] + pixels.specular[q, 2] > ZERO
     alpha = pixels.roughness[q] * pixels.roughness[q]
-    diffuse, lobe = lamps.unshadowed(lamp, p, n, viewer, alpha, pixels.f0[q], is_glossy, uniform(q, 0, salt),
-                                     uniform(q, 1, salt))
-    return diffuse, lobe * pixels.gain[q]
+    if reflectance <= ZERO:
+        return False, alpha, ZERO, ZERO
+    f0, gain = fit_lobe(reflectance, max(dot(n, viewer), ZERO), alpha, pixels.albedos)
+    return True, alpha, f0, gain
 
 
 @device_jit
@@ -259,13 +246,16 @@ def _add(q, diffuse, glossy, colours, pixels, out):
 
 
 @device_jit
-def _light_at_pixel(q, lamp, colours, pixels, salt, shadow_map, test, out):
-    """Add the unshadowed light if nothing stands between; returns what the map says: LIT, DARK or ASK."""
+def _light_at_pixel(q, lamp, colours, pixels, salt, shadow_map, test, bare, out):
+    """Find the unshadowed light and add it if nothing stands between; returns what the map says: LIT, DARK or ASK."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
     viewer, distance = _viewer(pixels, p)
-    diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
+    is_glossy, alpha, f0, gain = _lobe_of(q, pixels, n, viewer)
+    diffuse, glossy = lamps.unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, uniform(q, 0, salt), uniform(q, 1, salt))
+    glossy *= gain
     if diffuse <= ZERO and glossy <= ZERO:
         return shadow.DARK
+    bare.diffuse[q], bare.glossy[q] = diffuse, glossy
     out.could[q] += colours[6] * diffuse
     answer = shadow.LIT if test == NONE else shadow.ASK
     if test == MAP:
@@ -276,10 +266,10 @@ def _light_at_pixel(q, lamp, colours, pixels, salt, shadow_map, test, out):
 
 
 @pixel_jit
-def _light_pixels(index, lamp, colours, pixels, salt, shadow_map, test, out, state):
+def _light_pixels(index, lamp, colours, pixels, salt, shadow_map, test, bare, out, state):
     """`_light_at_pixel` for the pixels of `index`; its answers into `state`."""
     for k in prange(len(index)):
-        state[index[k]] = _light_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, test, out)
+        state[index[k]] = _light_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, test, bare, out)
 
 
 @device_jit
@@ -304,55 +294,47 @@ def _is_seen(bvh, stack, start, side, p, d):
 
 @device_jit
 def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, shift_u, shift_v):
-    """(share of the irradiance, share of the glossy light) that arrives at p."""
-    size = lamp.half_x if lamp.kind == lamps.SUN_LAMP else max(lamp.half_x, lamp.half_y) / max(
-        length(sub(load(lamp.places, lamps.POSITION), p)), f32(1e-20))
-    if size == ZERO:
-        d, _ = lamps.lamp_at(lamp, p, ZERO, ZERO)
-        seen = ONE if _is_seen(bvh, stack, start, side, p, d) else ZERO
-        return seen, seen
-    count, pilots = 0, PILOTS
-    for i in range(pilots):
-        x, y = lamps.rim_point(lamp, i, shift_u)
-        d, _ = lamps.lamp_at(lamp, p, x, y)
-        if _is_seen(bvh, stack, start, side, p, d):
-            count += 1
-        if 0 < count <= i:
-            break
-    if size > BIG and (count == 0 or count == pilots):
-        for i in range(BIG_PILOTS):
-            u, v = r2_sequence(i, shift_v, shift_u)
-            d, _ = lamps.lamp_sample(lamp, p, u, v)
-            if _is_seen(bvh, stack, start, side, p, d):
-                count += 1
-        pilots += BIG_PILOTS
-    if count == 0:
-        return ZERO, ZERO
-    if count == pilots:
-        return ONE, ONE
-    widened = max(max(alpha, f32(0.3) * min(size, ONE)), lamps.LEAST_ALPHA)
-    diffuse_all, diffuse_seen, glossy_all, glossy_seen = ZERO, ZERO, ZERO, ZERO
-    for i in range(rays):
-        u, v = r2_sequence(i, shift_u, shift_v)
-        d, weight = lamps.lamp_sample(lamp, p, u, v)
+    """(share of the irradiance, share of the glossy light) that arrives at p.
+
+    Pilots to the rim come first, for lamps that look large more of them inside the shape; where they agree they decide,
+    otherwise `rays` samples do, in proportion to what each would carry.
+    """
+    size = lamps.apparent_size(lamp, p)
+    pilots = 1 if size == ZERO else PILOTS if size <= BIG else PILOTS + BIG_PILOTS
+    alpha = max(max(alpha, f32(0.3) * min(size, ONE)), lamps.LEAST_ALPHA)
+    seen, diffuse_all, diffuse_seen, glossy_all, glossy_seen = 0, ZERO, ZERO, ZERO, ZERO
+    i, last = 0, pilots
+    while i < last:
+        x, y, share = ZERO, ZERO, ONE
+        if i >= PILOTS:
+            u, v = r2_sequence(i - pilots if i >= pilots else i - PILOTS, shift_u, shift_v)
+            x, y, share = lamps.lamp_place(lamp, p, u, v)
+        elif pilots > 1:
+            x, y = lamps.rim_point(lamp, i, shift_u)
+        d, weight = lamps.lamp_at(lamp, p, x, y)
         unit = normalized_or(d, n)
-        diffuse = weight * max(dot(n, unit), ZERO)
-        if diffuse > ZERO:
-            glossy = weight * lamps.ggx_lobe(n, viewer, unit, widened * widened, f0)
-            diffuse_all += diffuse
-            glossy_all += glossy
-            if _is_seen(bvh, stack, start, side, p, d):
-                diffuse_seen += diffuse
-                glossy_seen += glossy
+        diffuse = weight * share * max(dot(n, unit), ZERO)
+        is_seen = (i < pilots or diffuse > ZERO) and _is_seen(bvh, stack, start, side, p, d)
+        if i < pilots:
+            seen += is_seen
+            if 0 < seen <= i:                    # they disagree: the samples decide
+                i, last = pilots - 1, pilots + rays
+        elif diffuse > ZERO:
+            glossy = weight * share * lamps.ggx_lobe(n, viewer, unit, alpha * alpha, f0)
+            diffuse_all, glossy_all = diffuse_all + diffuse, glossy_all + glossy
+            if is_seen:
+                diffuse_seen, glossy_seen = diffuse_seen + diffuse, glossy_seen + glossy
+        i += 1
+    if last == pilots:
+        return (ONE, ONE) if seen > 0 else (ZERO, ZERO)
     share = diffuse_seen / diffuse_all if diffuse_all > ZERO else ZERO
     return share, (glossy_seen / glossy_all if glossy_all > ZERO else share)
 
 
 @device_jit
-def _trace_at_pixel(q, lamp, colours, pixels, salt, shadow_map, starts, bvh, stack, rays, out):
+def _trace_at_pixel(q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, rays, out):
     p, n = load(pixels.position, q), load(pixels.normal, q)
     viewer, distance = _viewer(pixels, p)
-    diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
     error = _error_of(pixels, p, distance)
     if starts.known[q] == 0:
         start, side = _ray_start(bvh, stack, p, n, viewer, distance, error)
@@ -363,37 +345,31 @@ def _trace_at_pixel(q, lamp, colours, pixels, salt, shadow_map, starts, bvh, sta
     share, glossy_share = ONE, ONE
     answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO else shadow.ASK
     if answer == shadow.ASK:
-        alpha = pixels.roughness[q] * pixels.roughness[q]
-        share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, pixels.f0[q], rays,
+        _, alpha, f0, _ = _lobe_of(q, pixels, n, viewer)
+        share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays,
                                            uniform(q, 2, salt), uniform(q, 3, salt))
     if answer != shadow.DARK:
-        _add(q, diffuse * share, glossy * glossy_share, colours, pixels, out)
+        _add(q, bare.diffuse[q] * share, bare.glossy[q] * glossy_share, colours, pixels, out)
 
 
 @pixel_jit
-def _trace_pixels(index, lamp, colours, pixels, salt, shadow_map, starts, bvh, rays, out):
+def _trace_pixels(index, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, rays, out):
     """Add the light that a second look at the map, and rays, find at the pixels of `index`."""
     blocks = (len(index) + BLOCK - 1) // BLOCK
     for block in prange(blocks):
         stack = np.empty(STACK, np.int32)
         for k in range(block * BLOCK, min((block + 1) * BLOCK, len(index))):
-            _trace_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, starts, bvh, stack, rays, out)
+            _trace_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, rays, out)
 
 
 @device_jit
-def _ask_map_at_pixel(q, lamp, colours, pixels, salt, shadow_map, out):
-    p, n = load(pixels.position, q), load(pixels.normal, q)
-    viewer, distance = _viewer(pixels, p)
-    diffuse, glossy = _arriving(q, lamp, pixels, p, n, viewer, salt)
-    share = shadow.map_visibility(shadow_map, p, _error_of(pixels, p, distance))
-    _add(q, diffuse * share, glossy * share, colours, pixels, out)
-
-
-@pixel_jit
-def _ask_map(index, lamp, colours, pixels, salt, shadow_map, out):
+def _ask_map(index, colours, pixels, shadow_map, bare, out):
     """Add the light of the pixels of `index` by the map's own four texels: what is left where no rays can be traced."""
-    for k in prange(len(index)):
-        _ask_map_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, out)
+    for q in index:
+        p = load(pixels.position, q)
+        _, distance = _viewer(pixels, p)
+        share = shadow.map_visibility(shadow_map, p, _error_of(pixels, p, distance))
+        _add(q, bare.diffuse[q] * share, bare.glossy[q] * share, colours, pixels, out)
 
 
 TECHNIQUE = Technique("direct", "Direct light", DirectParams, compute_direct,
