@@ -63,7 +63,8 @@ def test_to_world_turns_the_local_z_into_the_normal():
     np.testing.assert_allclose(vec3.to_world(vec((0, 0, 2)), t, b, n), (1.2, 0, 1.6), rtol=1e-6)
 
 
-def test_results_stay_float32():
+def test_float32_stays_float32():
     v = vec((1, 2, 3))
     vec3.dot(v, v)
-    assert {str(c.signature.return_type) for c in vec3.dot.overloads.values()} == {"float32"}
+    results = {str(c.signature.return_type) for c in vec3.dot.overloads.values() if "float64" not in str(c.signature.args)}
+    assert results == {"float32"}
