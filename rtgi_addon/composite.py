@@ -17,7 +17,7 @@ def merge(results: Iterable[tuple[str, PassResult]]) -> dict[Transport, np.ndarr
     for name, result in results:
         for transport, values in result.light.items():
             if transport in owner:
-                raise InputError(f"{owner[transport]} and {name} both supply the {transport.value} light, which would count it "
+                raise InputError(f"{owner[transport]} and {name} both supply the {transport.value} light and would count it "
                                  "twice; switch one of them off")
             light[transport], owner[transport] = values, name
     return light

@@ -11,18 +11,18 @@ import numpy as np
 from .capture import geometry as capture_geometry
 from .capture import materials as capture_materials
 from .capture import world as capture_world
-from .capture.unsupported import unsupported_warnings
 from .capture.lights import lights_out, read_lights
-from .capture.versions import HAS_ROUGHNESS_PASS, pass_name
 from .capture.needs import read_needs
+from .capture.unsupported import unsupported_warnings
+from .capture.versions import HAS_ROUGHNESS_PASS, pass_name
 from .capture.views import ViewCapture, full_sphere, main_camera, read_window, world_axes
-from .core.frame import Frame, LightView, World
+from .core.frame import Frame, World
 from .errors import Cancelled, InputError, RtgiError
 
 FAR_FROM_ORIGIN_M = 1000.0  # a camera farther out than this becomes the frame's own origin, to keep float32 digits
 IMAGE_NAME = "RTGI"
-OUTPUT_PASSES = (("RTGI Direct", "RGB"), ("RTGI World", "RGB"), ("RTGI Diffuse Bounce", "RGB"), ("RTGI Glossy Bounce", "RGB"),
-                 ("RTGI Visibility", "X"))
+OUTPUT_PASSES = (("RTGI Direct", "RGB"), ("RTGI World", "RGB"), ("RTGI Diffuse Bounce", "RGB"),
+                 ("RTGI Glossy Bounce", "RGB"), ("RTGI Visibility", "X"))
 
 _last_result = None
 _persistent_data: dict[str, bool] = {}

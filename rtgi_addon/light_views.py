@@ -38,7 +38,7 @@ def sphere_camera(light: Light, size: tuple[int, int]) -> Camera:
 
 def sun_camera(light: Light, points_ws: np.ndarray, bounds_ws: tuple[np.ndarray, np.ndarray], size: tuple[int, int],
                aspect: float) -> Camera:
-    """Orthographic view along a SUN that holds nearly all of `points_ws` (N, 3), turned to waste least, from outside the bounds."""
+    """Orthographic view along a SUN that holds nearly all of `points_ws` (N, 3), turned to waste least."""
     rotation = light.world_from_light[:3, :3]
     in_light = points_ws @ rotation
     best = None
@@ -71,7 +71,8 @@ def points_that_matter(frame: Frame, light: Light, bvh: Bvh, seed: int = 0) -> n
     normal = frame.gbuffer.normal_ws.reshape(-1, 3)[chosen]
     low, high = frame.geometry.bounds_ws
     reach = 2 * float(np.linalg.norm(high - low)) + float(np.abs(position).max())
-    hits, lit = lit_hits(position, normal, bvh, vector(-light.direction_ws), PILOT_RAYS, f32(2e-5 * frame.scale_m), f32(reach), seed)
+    offset_m = f32(2e-5 * frame.scale_m)
+    hits, lit = lit_hits(position, normal, bvh, vector(-light.direction_ws), PILOT_RAYS, offset_m, f32(reach), seed)
     return hits[lit]
 
 
@@ -121,8 +122,9 @@ def cast_view(light_index: int, light: Light, camera: Camera, frame: Frame, bvh:
         index = np.clip(geometry.material[of], 0, len(materials) - 1)
         specular[hit] = np.array([m.specular for m in materials], np.float32)[index]
         roughness[hit] = np.array([m.roughness for m in materials], np.float32)[index]
-    gbuffer = GBuffer(depth.reshape(shape), position.reshape(*shape, 3), normal.reshape(*shape, 3), albedo.reshape(*shape, 3),
-                      specular.reshape(*shape, 3), roughness.reshape(shape), emission.reshape(*shape, 3))
+    gbuffer = GBuffer(depth.reshape(shape), position.reshape(*shape, 3), normal.reshape(*shape, 3),
+                      albedo.reshape(*shape, 3), specular.reshape(*shape, 3), roughness.reshape(shape),
+                      emission.reshape(*shape, 3))
     return view_of(light_index, light, camera, gbuffer)
 
 

@@ -14,7 +14,7 @@ from .core.frame import Frame, Light, LightKind
 from .core.settings import Settings
 from .passes import TECHNIQUES
 
-CYCLES_VIEWS = 4            # lamps whose view Cycles renders; further ones are cast through the triangles at lower resolution
+CYCLES_VIEWS = 4            # lamps whose view Cycles renders; further ones are cast through the triangles
 CAST_VIEW_PX = (192, 108)   # size of a cast view
 
 
@@ -83,7 +83,8 @@ def plan_capture(facts: SceneFacts, settings: Settings, centre_ws: np.ndarray, r
         else:
             cast.append(i)
     if cast:
-        why = f"{len(cast)} lamps are weaker than the first {len(cycles)}" if facts.whole_frame else "a border cuts their view"
+        weaker = f"{len(cast)} lamps are weaker than the first {len(cycles)}"
+        why = weaker if facts.whole_frame else "a border cuts their view"
         left_out.append(("Cycles views of some lamps", f"{why}; their light is followed through the triangles instead"))
     if not facts.has_glossy:
         left_out.append(("Glossy passes", "no material has a glossy lobe"))

@@ -1,4 +1,4 @@
-"""Which passes a scene's frames need of Cycles; asked often and before the scene is evaluated, so it looks at sockets only."""
+"""Which passes a scene's frames need of Cycles; asked often, so it looks at sockets only."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def read_window(render: bpy.types.RenderSettings) -> Window:
     left, right = int(render.border_min_x * width), int(render.border_max_x * width)
     bottom, top = int(render.border_min_y * height), int(render.border_max_y * height)
     if right <= left or top <= bottom:
-        raise InputError("the render border is smaller than one pixel; draw a larger one or switch it off in Output Properties")
+        raise InputError("the render border is smaller than one pixel; draw a larger one or switch it off")
     return Window(left / width, right / width, bottom / height, top / height, aspect)
 
 

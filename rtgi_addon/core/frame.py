@@ -176,7 +176,7 @@ class Geometry:
         return float(np.max(high - low, initial=0.0))
 
     @staticmethod
-    def empty() -> "Geometry":
+    def empty() -> Geometry:
         return Geometry(np.zeros((0, 3, 3), np.float32), np.zeros((0, 3, 3), np.float32),
                         np.zeros((0, 3), np.float32), np.zeros(0, np.int32))
 
@@ -233,8 +233,9 @@ class Frame:
 
     @functools.cached_property
     def scale_m(self) -> float:
-        """Size of what matters: twice what the camera sees, at most all geometry. Ray offsets and tolerances are relative to it.
+        """Size of what matters: twice what the camera sees, at most all geometry.
 
+        Ray offsets and tolerances are relative to it.
         A ground plane of 10 km under a chair must not set the offsets of the chair's rays.
         """
         seen = self.gbuffer.position_ws[::4, ::4][self.gbuffer.mask[::4, ::4]]

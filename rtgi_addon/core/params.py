@@ -38,4 +38,5 @@ class Params:
             elif not isinstance(value, bool):
                 low, high = meta["low"], meta["high"]
                 if not (low is None or value >= low) or not (high is None or value <= high):
-                    raise InputError(f"{where}.{f.name} must be from {low} to {high} {meta['unit']}".rstrip() + f", got {value}")
+                    span = f"from {low} to {high} {meta['unit']}".rstrip()
+                    raise InputError(f"{where}.{f.name} must be {span}, got {value}")

@@ -1,4 +1,7 @@
-"""Blender's lamp settings to SI units, and what a light sends into a texel of its own view. Derivations in docs/radiometry.md."""
+"""Blender's lamp settings to SI units, and what a light sends into a texel of its own view.
+
+Derivations are in docs/radiometry.md.
+"""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from .params import Params
 
 PRESETS = (
     ("DRAFT", "Draft", "A first look: few gather points and rays, soft errors in corners"),
-    ("BALANCED", "Balanced", "The default: error below that of a few denoised path-traced samples, in a fraction of their time"),
+    ("BALANCED", "Balanced", "The default: error of a few denoised path-traced samples, in a fraction of their time"),
     ("QUALITY", "Quality", "Twice the gather points and more rays, for the last picture"),
 )
 
@@ -20,8 +20,8 @@ PRESETS = (
 class Settings:
     """One render's settings.
 
-    `enabled` and `params` are by technique name. With `use_auto` the planner chooses among the enabled techniques and leaves out what
-    the frame does not need; without it every enabled technique runs. `threads` 0 means all.
+    `enabled` and `params` are by technique name. With `use_auto` the planner chooses among the enabled techniques and
+    leaves out what the frame does not need; without it every enabled technique runs. `threads` 0 means all.
     """
 
     preset: str = "BALANCED"
@@ -31,7 +31,7 @@ class Settings:
     threads: int = 0
     seed: int = 0
 
-    def with_params(self, technique: str, **changes: Any) -> "Settings":
+    def with_params(self, technique: str, **changes: Any) -> Settings:
         """A copy in which some parameters of one technique differ."""
         if technique not in self.params:
             raise InputError(f"no technique is called {technique!r}; known are {', '.join(self.params)}")

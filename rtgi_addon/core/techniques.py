@@ -62,9 +62,9 @@ class RsmParams(Params):
         4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
     rays: int = param(
-        32, "Visibility rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
+        24, "Visibility rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
     clusters: int = param(
-        1024, "Groups that the lit texels of all lamps are put into; more follow small bright places better",
+        512, "Groups that the lit texels of all lamps are put into; more follow small bright places better",
         low=16, high=16384, soft_high=4096)
     glossy_texels: bool = param(
         True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing")
@@ -86,17 +86,17 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
     "DRAFT": {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 8, "rays": 16},
-        "rsm": {"lattice_px": 8, "rays": 16, "clusters": 512},
+        "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 32},
         "world": {"lattice_px": 4, "rays": 32},
-        "rsm": {"lattice_px": 4, "rays": 32, "clusters": 1024},
+        "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},
         "world": {"lattice_px": 2, "rays": 64},
-        "rsm": {"lattice_px": 2, "rays": 64, "clusters": 2048},
+        "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
     },
 }
 

@@ -58,7 +58,8 @@ def fill_texels(table, first, reflects, position, normal, albedo, specular, roug
             w = to_sun if is_sun else normalized_or(sub(light_position, p), n)
             alpha = min(max(roughness[i, j] * roughness[i, j], MIN_ALPHA), ONE)
             cosine = min(max(dot(n, w), ZERO), f32(0.999))
-            f0, gain = fit_lobe((specular[i, j, 0] + specular[i, j, 1] + specular[i, j, 2]) * f32(1 / 3), cosine, alpha, albedos)
+            reflectance = (specular[i, j, 0] + specular[i, j, 1] + specular[i, j, 2]) * f32(1 / 3)
+            f0, gain = fit_lobe(reflectance, cosine, alpha, albedos)
             diffuse, glossy = ZERO, ZERO
             for a in range(3):
                 table[DIFFUSE + a, k] = flux[i, j, a] * albedo[i, j, a]

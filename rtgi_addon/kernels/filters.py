@@ -14,11 +14,12 @@ TWO = f32(2)
 
 
 @pixel_jit
-def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask, rcp_tolerance, step):
+def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask, rcp_tolerance, step, unrest):
     """Values (h, w, 3) of a lattice (every `step`-th pixel, first at step // 2) to pixels; step 1 smooths the lattice.
 
-    Returns ((H, W, 3) float32, (H, W) bool): the filtered values, and the surface pixels that found no neighbour of like
-    plane and normal and must be gathered on their own. Weights: a squared tent of 4x4 points, the 16th power of the
+    Returns ((H, W, 3) float32, (H, W) bool): the filtered values, and the surface pixels that must be gathered on their
+    own: they found no neighbour of like plane and normal, or their neighbours' light differs by more than `unrest` (standard
+    deviation over mean). Weights: a squared tent of 4x4 points, the 16th power of the
     normals' cosine, exp(-distance from the pixel's tangent plane * rcp_tolerance (H, W) 1/m).
     """
     height, width = mask.shape
@@ -30,7 +31,7 @@ def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask,
             fi, fj = f32(i - step // 2) / f32(step), f32(j - step // 2) / f32(step)
             i0, j0 = int(math.floor(fi)), int(math.floor(fj))
             p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
-            total, red, green, blue = ZERO, ZERO, ZERO, ZERO
+            total, red, green, blue, squares = ZERO, ZERO, ZERO, ZERO, ZERO
             for u in range(max(i0 - 1, 0), min(i0 + 3, mask_l.shape[0])):
                 for v in range(max(j0 - 1, 0), min(j0 + 3, mask_l.shape[1])):
                     cosine = dot(n, load_pixel(normal_l, u, v))
@@ -47,7 +48,9 @@ def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask,
                     red += k * values[u, v, 0]
                     green += k * values[u, v, 1]
                     blue += k * values[u, v, 2]
-            weak[i, j] = total < WEAK
+                    squares += k * (values[u, v, 0] + values[u, v, 1] + values[u, v, 2]) ** 2
+            first = red + green + blue
+            weak[i, j] = total < WEAK or squares * total > (ONE + unrest * unrest) * first * first
             if total > ZERO:
                 out[i, j, 0], out[i, j, 1], out[i, j, 2] = red / total, green / total, blue / total
     return out, weak
@@ -55,7 +58,7 @@ def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask,
 
 @device_jit
 def _likeness(p, n, q, m, rcp_tolerance):
-    """Weight in [0, 1] of a neighbour at q, normal m: the 16th power of the normals' cosine, and nearness to the tangent plane."""
+    """Weight in [0, 1] of a neighbour at q, normal m: 16th power of the normals' cosine, nearness to the tangent plane."""
     cosine = dot(n, m)
     if cosine <= ZERO:
         return ZERO
@@ -89,7 +92,7 @@ def pilot_means(light, position, normal, mask, rcp_tolerance):
 
 @device_jit
 def _solve_intercept(a, b, ridge):
-    """First unknown (3 right sides) of the 4x4 weighted normal equations a x = b; `ridge` holds the slopes near 0. In place."""
+    """First unknown (3 right sides) of the 4x4 normal equations a x = b; `ridge` holds the slopes near 0. In place."""
     for k in range(1, 4):
         a[k, k] += ridge * a[0, 0]
     for k in range(3, 0, -1):                    # eliminate the slopes, last first: what is left is the intercept

@@ -21,7 +21,7 @@ from numba.core import event
 
 from ..core.cache_root import cache_root
 
-__all__ = ["cache_dir", "compile_clock", "device_jit", "kernel_session", "pixel_jit", "prange",
+__all__ = ["cache_dir", "compiled_s", "device_jit", "kernel_session", "pixel_jit", "prange",
            "probe_threading_layer", "threading_layer"]
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -105,9 +105,10 @@ def probe_threading_layer() -> tuple[str, int]:
         return numba.threading_layer(), numba.get_num_threads()
 
 
-@contextlib.contextmanager
-def compile_clock() -> Iterator[Callable[[], float]]:
-    """Yields a function that returns the seconds spent compiling since entry."""
-    listener = event.TimingListener()
-    with event.install_listener("numba:compile", listener):
-        yield lambda: listener.duration if listener.done else 0.0
+_compile_clock = event.TimingListener()
+event.register("numba:compile", _compile_clock)
+
+
+def compiled_s() -> float:
+    """Seconds that this process has spent compiling kernels so far; loads from the cache are not among them."""
+    return _compile_clock.duration if _compile_clock.done else 0.0

@@ -17,7 +17,10 @@ from .base import Context
 Gather = Callable[[np.ndarray, np.ndarray, np.ndarray, int], np.ndarray]
 
 PLANE_TOLERANCE_PX = 1.6    # how far off the tangent plane, in footprints of a lattice cell, a neighbour still counts e^-1
-RADIUS, CONTRAST, RIDGE = 4, 2.0, 0.2
+UNREST = 0.6                # standard deviation over mean of the lattice's light at which a pixel is gathered on its own
+RADIUS = 4                  # of the regression's window, in lattice points: wider blurs corners, narrower leaves blotches
+CONTRAST = 2.0              # standard deviations of noise by which a neighbour's mean may differ before it counts e^-1
+RIDGE = 0.2                 # how firmly slopes are held to 0; 0.02 to 1 differ by less than 2 % of the error
 TILE_POINTS = 16384         # points between two looks at Esc
 
 
@@ -32,12 +35,12 @@ def pixel_footprint_m(camera: Camera, depth: np.ndarray) -> np.ndarray:
 
 def gather_in_tiles(gather: Gather, position: np.ndarray, normal: np.ndarray, ids: np.ndarray, seed: int,
                     context: Context, text: str, columns: int = 3) -> np.ndarray:
-    """`gather` over (M, 3) points in tiles, so that Esc is seen between them."""
+    """The first `columns` columns of `gather` over (M, 3) points, in tiles, so that Esc is seen between them."""
     out = np.zeros((len(position), columns), np.float32)
     for first in range(0, len(position), TILE_POINTS):
         context.checkpoint(text, first / len(position))
         tile = slice(first, first + TILE_POINTS)
-        out[tile] = gather(position[tile], normal[tile], ids[tile], seed)
+        out[tile] = gather(position[tile], normal[tile], ids[tile], seed)[:, :columns]
     return out
 
 
@@ -53,7 +56,7 @@ def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, con
     ids = np.arange(mask.size, dtype=np.int64).reshape(mask.shape)
     if step_px == 1:
         out = np.zeros((*mask.shape, 3), np.float32)
-        out[mask] = gather_in_tiles(gather, g.position_ws[mask], g.normal_ws[mask], ids[mask], seed, context, text, 5)[:, :3]
+        out[mask] = gather_in_tiles(gather, g.position_ws[mask], g.normal_ws[mask], ids[mask], seed, context, text)
         return out, {"gathered_share": 1.0}
     at = (slice(step_px // 2, None, step_px), slice(step_px // 2, None, step_px))
     if not mask[at].any():
@@ -68,9 +71,10 @@ def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, con
     rcp_l = np.ascontiguousarray(rcp_tolerance[at])
     pilot = pilot_means(lattice, position_l, normal_l, mask_l, rcp_l)
     smooth = regress_lattice(lattice, pilot, position_l, normal_l, mask_l, rcp_l, RADIUS, f32(CONTRAST), f32(RIDGE))
-    out, weak = spread_lattice(smooth, position_l, normal_l, mask_l, g.position_ws, g.normal_ws, mask, rcp_tolerance, step_px)
+    out, weak = spread_lattice(smooth, position_l, normal_l, mask_l, g.position_ws, g.normal_ws, mask, rcp_tolerance,
+                               step_px, f32(UNREST))
     if weak.any():
-        out[weak] = gather_in_tiles(gather, g.position_ws[weak], g.normal_ws[weak], ids[weak], seed + 1, context, text, 5)[:, :3]
+        out[weak] = gather_in_tiles(gather, g.position_ws[weak], g.normal_ws[weak], ids[weak], seed + 1, context, text)
         smooth_marked(out, weak, g.position_ws, g.normal_ws, mask, rcp_tolerance)
     surface = max(int(mask.sum()), 1)
     return out, {"gathered_share": float((mask_l.sum() + weak.sum()) / surface), "weak_share": float(weak.sum() / surface)}

@@ -11,7 +11,7 @@ from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_on_lattice
 
-MAP_SIZE = (64, 128)        # rows and columns of the map that irradiance is gathered from: 2.8 degrees, finer than a cosine needs
+MAP_SIZE = (64, 128)        # rows and columns of the gathered map: 2.8 degrees, finer than a cosine needs
 MAP_SHARE = 0.5             # share of the rays drawn by the map's brightness, when it is not constant
 RAY_OFFSET = 2e-5           # of the scene's size
 
