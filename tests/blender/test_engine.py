@@ -269,12 +269,13 @@ def test_bounce_in_an_empty_box_equals_cycles(bpy_session, empty_scene):
     scene.collection.objects.link(camera)
     scene.camera = camera
     render = scene.render
-    render.engine, render.resolution_x, render.resolution_y, render.resolution_percentage = "RTGI", 96, 64, 100
+    render.engine, render.resolution_x, render.resolution_y, render.resolution_percentage = "RTGI", 192, 128, 100
     bpy.context.view_layer.update()
     bpy.ops.render.render()
     bounce = last_result().transports[Transport.BOUNCE_DIFFUSE] / np.pi
-    reference = render_reference(scene, samples=512, size=(96, 64))
+    reference = render_reference(scene, samples=128, size=(192, 128))
     target = (reference.half_a["Diffuse Indirect"] + reference.half_b["Diffuse Indirect"]) / 2
     mask = np.ones(bounce.shape[:2], bool)
     assert block_relative_l1(bounce, target, mask) < 0.03
+    # measured 0.998 with a gather at every pixel; the lattice cuts corners by half a percent
     assert bounce.mean() == pytest.approx(target.mean(), rel=0.01)
