@@ -84,7 +84,8 @@ def test_two_builds_give_the_same_geometry(bpy_session, build, name):
     build(name)
     second_vertices, second_count = world_vertices(bpy_session)
     assert second_count == first_count
-    np.testing.assert_array_equal(second_vertices, first_vertices)
+    # Blender sums vertex normals on several threads in any order, so a displacement along them may move by a last digit
+    np.testing.assert_allclose(second_vertices, first_vertices, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", SCENES)
