@@ -17,14 +17,14 @@ def point_intensity(power_w: float, radius_m: float, normalize: bool) -> float:
     """Radiant intensity W/sr of a POINT or SPOT of `power_w`.
 
     A point radiates evenly over 4 pi sr; a spot is the same point behind a shade, so its cone does not enter. Without
-    `normalize` Blender's number is per square metre of the sphere's disk.
+    `normalize` Blender's number is per square metre of the sphere's surface.
     """
-    return power_w / (4 * math.pi) * (1.0 if normalize or radius_m <= 0 else math.pi * radius_m**2)
+    return power_w / (4 * math.pi) * (1.0 if normalize or radius_m <= 0 else 4 * math.pi * radius_m**2)
 
 
 def sun_irradiance(strength: float, angle_rad: float, normalize: bool) -> float:
     """Irradiance W/m2 on a plane that faces a SUN; without `normalize` the strength is the radiance of its disk."""
-    return strength * (1.0 if normalize or angle_rad <= 0 else math.pi * math.tan(min(angle_rad, math.pi - 1e-3) / 2) ** 2)
+    return strength * (1.0 if normalize or angle_rad <= 0 else math.pi * math.sin(min(angle_rad, math.pi) / 2) ** 2)
 
 
 def area_radiance(power_w: float, area_m2: float, normalize: bool) -> float:

@@ -23,6 +23,7 @@ DISK_LAMP, SPHERE_LAMP, SUN_LAMP, RECTANGLE_LAMP, ELLIPSE_LAMP = 0, 1, 2, 3, 4
 PI = f32(math.pi)
 HALF = f32(0.5)
 NEAR = f32(0.1)             # half size over distance above which an area light is summed in closed form
+WIDE = f32(0.3)             # half size over distance above which a lamp that sets behind the surface is no flat disk
 TINY = f32(0.004)           # half size over distance below which the centre stands for the shape
 GAUSS = f32(0.57735027)     # node of the two-point Gauss rule on [-1, 1]
 POLYGON = 16                # sides of the polygon that stands for an ellipse; of equal area, 0.03 % at most
@@ -34,7 +35,7 @@ class Lamp(NamedTuple):
     """A lamp as kernels take it; lengths in m, vectors unit.
 
     places: (4, 3) float32, rows POSITION, DIRECTION (along which it shines), AXIS_X, AXIS_Y. half_x, half_y: half sizes (a
-    radius for points and spots, the tangent of half the angle for a sun). spot_edge, spot_scale: cosine where a spot's
+    radius for points and spots, the sine of half the angle for a sun). spot_edge, spot_scale: cosine where a spot's
     cone ends and 1 / (its soft edge); without a cone spot_scale is 0. tan_spread and spread_gain: see
     `radiometry.spread_factor`; spread_gain is 0 for a Lambertian light.
     """
@@ -83,9 +84,11 @@ def lamp_at(lamp, p, x, y):
     """(vector from p to the lamp's point (x, y), weight): (x, y) in the unit disk, or in [-1, 1]^2 for a rectangle."""
     to = sub(load(lamp.places, POSITION), p)
     if lamp.kind == SUN_LAMP:
-        towards = scaled(load(lamp.places, DIRECTION), -ONE)
+        # even over the cone's projection along its axis: even radiance, whatever the angle
+        rise = math.sqrt(max(ONE - (x * x + y * y) * lamp.half_x * lamp.half_x, f32(1e-4)))
+        towards = scaled(load(lamp.places, DIRECTION), -rise)
         d = _plus(towards, load(lamp.places, AXIS_X), x * lamp.half_x, load(lamp.places, AXIS_Y), y * lamp.half_x)
-        return scaled(d, lamp.far), ONE
+        return scaled(d, lamp.far), ONE / rise
     if lamp.kind >= RECTANGLE_LAMP:
         area = f32(4) * lamp.half_x * lamp.half_y * (ONE if lamp.kind == RECTANGLE_LAMP else f32(math.pi / 4))
         d = _plus(to, load(lamp.places, AXIS_X), x * lamp.half_x, load(lamp.places, AXIS_Y), y * lamp.half_y)
@@ -118,7 +121,8 @@ def lamp_at(lamp, p, x, y):
 def lamp_place(lamp, p, u, v):
     """(x, y, share) for `lamp_at` from (u, v) in [0, 1)^2, evenly over the shape; `share` multiplies the weight.
 
-    With a narrow spread only the rectangle around the part that p can see is used.
+    With a narrow spread only the part that p can see is used: a circle around the point of the lamp's plane that is
+    nearest to p, or the rectangle around what the lamp and that circle share.
     """
     if lamp.kind != RECTANGLE_LAMP and lamp.spread_gain == ZERO:
         x, y = disk(u, v)
@@ -127,14 +131,26 @@ def lamp_place(lamp, p, u, v):
     if lamp.spread_gain > ZERO:
         to = sub(p, load(lamp.places, POSITION))
         reach = dot(to, load(lamp.places, DIRECTION)) * lamp.tan_spread
-        x, y = dot(to, load(lamp.places, AXIS_X)), dot(to, load(lamp.places, AXIS_Y))
-        low_x, high_x = max((x - reach) / lamp.half_x, -ONE), min((x + reach) / lamp.half_x, ONE)
-        low_y, high_y = max((y - reach) / lamp.half_y, -ONE), min((y + reach) / lamp.half_y, ONE)
+        foot_x, foot_y = dot(to, load(lamp.places, AXIS_X)) / lamp.half_x, dot(to, load(lamp.places, AXIS_Y)) / lamp.half_y
+        reach_x, reach_y = reach / lamp.half_x, reach / lamp.half_y
+        low_x, high_x = max(foot_x - reach_x, -ONE), min(foot_x + reach_x, ONE)
+        low_y, high_y = max(foot_y - reach_y, -ONE), min(foot_y + reach_y, ONE)
         if low_x >= high_x or low_y >= high_y:
             return ZERO, ZERO, ZERO
-        share = (high_x - low_x) * (high_y - low_y) / f32(4)
-    x, y = low_x + u * (high_x - low_x), low_y + v * (high_y - low_y)
-    if lamp.kind != RECTANGLE_LAMP:
+        whole = f32(1.999)
+        if lamp.kind == ELLIPSE_LAMP and high_x - low_x > whole and high_y - low_y > whole:
+            x, y = disk(u, v)
+            return x, y, ONE
+        if high_x - low_x > whole * reach_x and high_y - low_y > whole * reach_y:
+            x, y = disk(u, v)                    # the circle that p sees lies within the rectangle around the shape
+            x, y = foot_x + x * reach_x, foot_y + y * reach_y
+            share = reach_x * reach_y * f32(math.pi / 4)
+        else:
+            share = (high_x - low_x) * (high_y - low_y) / f32(4)
+            x, y = low_x + u * (high_x - low_x), low_y + v * (high_y - low_y)
+    else:
+        x, y = low_x + u * (high_x - low_x), low_y + v * (high_y - low_y)
+    if lamp.kind == ELLIPSE_LAMP:
         share = share * f32(4 / math.pi) if x * x + y * y <= ONE else ZERO
     return x, y, share
 
@@ -196,14 +212,10 @@ def _polygon_irradiance(lamp, p, n):
 
 @device_jit
 def _part_above(height, size):
-    """Mean of max(cosine, 0) over a disk of radius `size` at distance 1 whose centre has the cosine `height` <= size.
-
-    The integral of height + size x over the part of the unit disk where it is positive; 3/5 is the mean square radius of
-    that part, which makes the directions longer than 1.
-    """
+    """Mean of max(height + size x, 0) over the unit disk for |height| <= size: a lamp that sets behind the surface."""
     a = height / size
     root = math.sqrt(max(ONE - a * a, ZERO))
-    return size / math.sqrt(ONE + f32(0.6) * size * size) * (a * (PI - math.acos(a)) + root * (f32(2) + a * a) / f32(3)) / PI
+    return size * (a * (PI - math.acos(a)) + root * (f32(2) + a * a) / f32(3)) / PI
 
 
 @device_jit
@@ -235,11 +247,12 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
         return ZERO, ZERO
     count, widening = 4, f32(0.25) * size
     is_closed = is_area and lamp.spread_gain == ZERO and (size > NEAR or abs(height) < f32(2) * size)
-    if is_closed or lamp.spread_gain > ZERO:
+    sets = not is_area and abs(height) < size
+    if is_closed or lamp.spread_gain > ZERO or (sets and size > WIDE):
         count, widening = AREA_SAMPLES, f32(0.12) * min(size, ONE)
         if is_closed and not is_glossy:
             count = 0
-    elif size < TINY and not is_area and abs(height) >= size:
+    elif size < TINY and not is_area and not sets:
         count, widening = 1, HALF * size
     alpha = max(max(alpha, widening), LEAST_ALPHA)
     node = GAUSS if lamp.kind == RECTANGLE_LAMP else HALF
@@ -261,6 +274,8 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
                 glossy += weight * ggx_lobe(n, viewer, unit, alpha * alpha, f0)
     if is_closed:
         diffuse = _polygon_irradiance(lamp, p, n)
-    elif abs(height) < size and not is_area:
+    elif sets and size <= WIDE:
         diffuse = carried * _part_above(height, size)
+        if lamp.kind == DISK_LAMP:               # its rim is farther; 3/5 is the mean square radius of half a disk
+            diffuse /= math.sqrt(ONE + f32(0.6) * size * size)
     return diffuse, glossy

@@ -181,7 +181,7 @@ def pack_lamp(light: Light, far_m: float) -> Lamp:
     spot_edge = spot_scale = tan_spread = spread_gain = 0.0
     kind = lamps.SPHERE_LAMP if light.is_sphere else lamps.DISK_LAMP
     if light.kind is LightKind.SUN:
-        kind, half_x = lamps.SUN_LAMP, math.tan(min(light.angle_rad, math.pi - 0.02) / 2)
+        kind, half_x = lamps.SUN_LAMP, math.sin(min(light.angle_rad, math.pi - 0.02) / 2)
         half_y = half_x
     elif light.kind.is_area:
         kind = lamps.RECTANGLE_LAMP if light.kind is LightKind.RECTANGLE else lamps.ELLIPSE_LAMP

@@ -39,9 +39,11 @@ def patches(light: Light, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.nda
     axis_x, axis_y, axis_z = light.world_from_light[:3, 0], light.world_from_light[:3, 1], light.world_from_light[:3, 2]
     if light.kind is LightKind.SUN:
         points = _disk_points(steps)
-        r = np.tan(light.angle_rad / 2)
-        d = axis_z + r * (points[:, :1] * axis_x + points[:, 1:2] * axis_y)
-        return d / np.linalg.norm(d, axis=1, keepdims=True), points[:, 2]
+        # radiance E / (pi sin^2) over the cone, cut into parts of equal projection along its axis
+        side = np.sin(light.angle_rad / 2) * points[:, :2]
+        rise = np.sqrt(1 - (side**2).sum(1))
+        d = rise[:, None] * axis_z + side[:, :1] * axis_x + side[:, 1:] * axis_y
+        return d, points[:, 2] / rise
     to = light.position_ws - x
     if light.kind.is_area:
         points = _square_points(steps) if light.kind is LightKind.RECTANGLE else _disk_points(steps)

@@ -1,0 +1,100 @@
+"""Direct light of every lamp against Cycles: the shapes, their units, their shadows and their highlights."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.blender
+
+SIZE = (64, 40)
+SAMPLES = 64            # of each half; what noise that leaves is measured from the halves and allowed for
+
+LAMPS = {
+    "hard point": ("POINT", {"energy": 100.0, "shadow_soft_size": 0.0}),
+    "round point": ("POINT", {"energy": 100.0, "shadow_soft_size": 0.3}),
+    "sphere": ("POINT", {"energy": 100.0, "shadow_soft_size": 0.5, "use_soft_falloff": False}),
+    "hard spot": ("SPOT", {"energy": 300.0, "shadow_soft_size": 0.0, "spot_size": 1.2, "spot_blend": 0.3}),
+    "soft spot": ("SPOT", {"energy": 300.0, "shadow_soft_size": 0.2, "spot_size": 1.5, "spot_blend": 1.0}),
+    "spherical spot": ("SPOT", {"energy": 300.0, "shadow_soft_size": 0.3, "spot_size": 1.3, "spot_blend": 0.2,
+                                "use_soft_falloff": False}),
+    "hard sun": ("SUN", {"energy": 3.0, "angle": 0.0}),
+    "wide sun": ("SUN", {"energy": 3.0, "angle": math.radians(30)}),
+    "bare sun": ("SUN", {"energy": 5.0, "angle": math.radians(60), "normalize": False}),
+    "bare point": ("POINT", {"energy": 500.0, "shadow_soft_size": 0.2, "normalize": False}),
+    "bare square": ("AREA", {"energy": 100.0, "shape": "SQUARE", "size": 0.6, "normalize": False}),
+    "square": ("AREA", {"energy": 100.0, "shape": "SQUARE", "size": 0.8}),
+    "rectangle": ("AREA", {"energy": 100.0, "shape": "RECTANGLE", "size": 1.6, "size_y": 0.2}),
+    "disk": ("AREA", {"energy": 100.0, "shape": "DISK", "size": 1.0}),
+    "ellipse": ("AREA", {"energy": 100.0, "shape": "ELLIPSE", "size": 1.4, "size_y": 0.4}),
+    "narrow square": ("AREA", {"energy": 100.0, "shape": "SQUARE", "size": 1.0, "spread": math.radians(60)}),
+    "narrow disk": ("AREA", {"energy": 100.0, "shape": "DISK", "size": 1.0, "spread": math.radians(90)}),
+}
+HARD = ("hard point", "hard spot", "hard sun")
+
+
+def light_with(bpy, scene, name):
+    """Replace the scene's lamp."""
+    kind, settings = LAMPS[name]
+    old = scene.objects["Spot"]
+    lamp = bpy.data.lights.new("Lamp", kind)
+    for key, value in settings.items():
+        setattr(lamp, key, value)
+    new = bpy.data.objects.new("Lamp", lamp)
+    new.location, new.rotation_euler = (0.9, -1.2, 2.6), (0.4, 0.25, 0.0)
+    scene.collection.objects.link(new)
+    bpy.data.objects.remove(old)
+    bpy.context.view_layer.update()
+
+
+def rtgi_and_cycles(scene, roughness=None):
+    """(our transports, the two halves of Cycles' reference, mask)."""
+    import bpy
+
+    from rtgi_addon import engine
+    from rtgi_addon.compare.reference import render_reference
+
+    for material in bpy.data.materials:
+        shader = material.node_tree.nodes["Principled BSDF"]
+        shader.inputs["Specular IOR Level"].default_value = 0.0 if roughness is None else 0.5
+        shader.inputs["Roughness"].default_value = roughness or 1.0
+    scene.render.resolution_x, scene.render.resolution_y = SIZE
+    scene.rtgi.direct.soft_shadow_rays = 256
+    reference = render_reference(scene, SAMPLES)
+    bpy.ops.render.render()
+    return engine.last_result().transports, reference
+
+
+@pytest.mark.parametrize("name", LAMPS)
+def test_diffuse_direct_light_is_that_of_cycles(bpy_session, small_scene, name):
+    from rtgi_addon.passes.base import Transport
+
+    light_with(bpy_session, small_scene, name)
+    transports, reference = rtgi_and_cycles(small_scene)
+    mask = reference.mask
+    got = (transports[Transport.DIRECT_DIFFUSE] / np.pi * reference.albedo)[mask]
+    a, b = (half[mask] for half in reference.halves("direct diffuse"))
+    mean = (a + b) / 2
+    noise = np.abs(a - b).sum() / 2 / mean.sum()
+    assert np.abs(got - mean).sum() / mean.sum() <= (0.01 if name in HARD else 0.02) + noise
+    # the noise of many pixels cancels in the sum
+    assert got.sum() == pytest.approx(mean.sum(), rel=0.005)
+    if name in HARD:
+        close = np.abs(got - mean).max(-1) <= 0.01 * mean.max(-1) + 1e-3 * mean.mean()
+        assert close.mean() >= 0.995
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6])
+@pytest.mark.parametrize("name", ["round point", "hard sun", "square"])
+def test_highlights_are_those_of_cycles(bpy_session, small_scene, name, roughness):
+    from rtgi_addon.passes.base import Transport
+
+    light_with(bpy_session, small_scene, name)
+    transports, reference = rtgi_and_cycles(small_scene, roughness)
+    a, b = (half[reference.mask] for half in reference.halves("direct glossy"))
+    got, mean = transports[Transport.DIRECT_GLOSSY][reference.mask], (a + b) / 2
+    noise = np.abs(a - b).sum() / 2 / mean.sum()
+    assert np.abs(got - mean).sum() / mean.sum() <= 0.06 + noise
+    assert got.sum() == pytest.approx(mean.sum(), rel=0.03)
