@@ -156,12 +156,13 @@ def lamp_place(lamp, p, u, v):
 
 
 @device_jit
-def rim_point(lamp, i, turn):
-    """(x, y) of pilot i of four for `lamp_at`: around the rim of a round shape, the corners of a rectangle."""
+def pilot_point(lamp, i, turn):
+    """(x, y) of pilot i for `lamp_at`: four around the rim (the corners of a rectangle), then four half-way in."""
+    radius = f32(0.96) if i < 4 else f32(0.5)
     if lamp.kind == RECTANGLE_LAMP:
-        return f32(0.96) * (ONE if i & 1 else -ONE), f32(0.96) * (ONE if i & 2 else -ONE)
-    angle = (f32(i) + turn) * f32(math.pi / 2)
-    return f32(0.96) * math.cos(angle), f32(0.96) * math.sin(angle)
+        return radius * (ONE if i & 1 else -ONE), radius * (ONE if i & 2 else -ONE)
+    angle = (f32(i) + turn + (ZERO if i < 4 else HALF)) * f32(math.pi / 2)
+    return radius * math.cos(angle), radius * math.sin(angle)
 
 
 @device_jit

@@ -1,10 +1,11 @@
 """Direct light of lamps: unshadowed light in closed form times visibility from shadow maps and rays.
 
 For each lamp two kernels run. The first computes at every pixel what would arrive with nothing in between, and asks the
-lamp's own view whether anything is (`kernels.shadow`): lit and dark pixels are done. The few left over, along the edges
-of shadows, are put into a list, and the second kernel traces rays from them through the scene's triangles: one ray to a
-lamp without size, else four to its rim and, where those disagree, a stratified set over its shape. The share of the light
-that arrives, in proportion to what each ray would carry, multiplies the closed form, so noise is left in half shadows only.
+lamp's own view whether anything is (`kernels.shadow`): lit and dark pixels are done. Those left over, along the edges of
+shadows, are put into a list. For them the second kernel finds the pixel's triangle, looks at the map once more with its
+plane, and where that does not settle it traces rays through the scene's triangles: one ray to a lamp without size, else
+eight spread over it and, where those disagree, a stratified set over its shape. The share of the light that arrives, in
+proportion to what each ray would carry, multiplies the closed form, so noise is left in half shadows only.
 
 Deviations from Cycles: materials with transparency cast full shadows; Cycles' push of shadow rays off smooth-shaded,
 coarse meshes ("shadow terminator") is not modelled.
@@ -30,7 +31,7 @@ from ..kernels.vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load, norma
 from .base import Context, PassResult, Technique, Transport
 
 NONE, MAP, RAYS = 0, 1, 2   # how a light's shadows are found
-PILOTS = 4                  # rays to the rim of a lamp that decide whether a pixel lies in half shadow
+PILOTS = 8                  # rays that decide whether a pixel lies in half shadow; four, to the rim, miss thin things
 BIG_PILOTS = 8              # more of them, inside the shape, for lamps that look large
 BIG = f32(0.1)              # half size over distance from which a lamp looks large
 BLOCK = 32                  # pixels that one thread traces in a row
@@ -76,6 +77,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
                 np.zeros(count, np.float32))
     has_rays = frame.geometry is not None
     bvh = context.bvh(frame.geometry) if has_rays else None
+    pilots = 0 if params.exact_shadows else PILOTS
     far_m = _length_out_of(bvh)
     views = {view.light_index: view for view in frame.views}
     state = np.zeros(count, np.uint8)
@@ -99,7 +101,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
             left = part[state[part] == shadow.ASK]
             asked[light.name] += len(left)
             if has_rays and len(left):
-                _trace_pixels(left, *common, shadow_map, bare, starts, bvh, params.soft_shadow_rays, out)
+                _trace_pixels(left, *common, shadow_map, bare, starts, bvh, pilots, params.soft_shadow_rays, out)
             elif len(left):
                 _ask_map(left, colours, pixels, shadow_map, bare, out)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -293,24 +295,27 @@ def _is_seen(bvh, stack, start, side, p, d):
 
 
 @device_jit
-def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, shift_u, shift_v):
+def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots, rays, shift_u, shift_v):
     """(share of the irradiance, share of the glossy light) that arrives at p.
 
-    Pilots to the rim come first, for lamps that look large more of them inside the shape; where they agree they decide,
-    otherwise `rays` samples do, in proportion to what each would carry.
+    Pilots to the rim and half-way in come first, for lamps that look large more of them; where they agree they decide,
+    otherwise `rays` samples do, in proportion to what each would carry. Without pilots the samples always do.
     """
     size = lamps.apparent_size(lamp, p)
-    pilots = 1 if size == ZERO else PILOTS if size <= BIG else PILOTS + BIG_PILOTS
+    if size == ZERO:
+        pilots = 1
+    elif pilots > 0 and size > BIG:
+        pilots += BIG_PILOTS
     alpha = max(max(alpha, f32(0.3) * min(size, ONE)), lamps.LEAST_ALPHA)
     seen, diffuse_all, diffuse_seen, glossy_all, glossy_seen = 0, ZERO, ZERO, ZERO, ZERO
-    i, last = 0, pilots
+    i, last = 0, pilots if pilots > 0 else rays
     while i < last:
         x, y, share = ZERO, ZERO, ONE
-        if i >= PILOTS:
+        if i >= PILOTS or pilots == 0:
             u, v = r2_sequence(i - pilots if i >= pilots else i - PILOTS, shift_u, shift_v)
             x, y, share = lamps.lamp_place(lamp, p, u, v)
         elif pilots > 1:
-            x, y = lamps.rim_point(lamp, i, shift_u)
+            x, y = lamps.pilot_point(lamp, i, shift_u)
         d, weight = lamps.lamp_at(lamp, p, x, y)
         unit = normalized_or(d, n)
         diffuse = weight * share * max(dot(n, unit), ZERO)
@@ -325,14 +330,14 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, s
             if is_seen:
                 diffuse_seen, glossy_seen = diffuse_seen + diffuse, glossy_seen + glossy
         i += 1
-    if last == pilots:
+    if last == pilots and pilots > 0:
         return (ONE, ONE) if seen > 0 else (ZERO, ZERO)
     share = diffuse_seen / diffuse_all if diffuse_all > ZERO else ZERO
     return share, (glossy_seen / glossy_all if glossy_all > ZERO else share)
 
 
 @device_jit
-def _trace_at_pixel(q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, rays, out):
+def _trace_at_pixel(q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, out):
     p, n = load(pixels.position, q), load(pixels.normal, q)
     viewer, distance = _viewer(pixels, p)
     error = _error_of(pixels, p, distance)
@@ -346,20 +351,20 @@ def _trace_at_pixel(q, lamp, colours, pixels, salt, shadow_map, bare, starts, bv
     answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO else shadow.ASK
     if answer == shadow.ASK:
         _, alpha, f0, _ = _lobe_of(q, pixels, n, viewer)
-        share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays,
-                                           uniform(q, 2, salt), uniform(q, 3, salt))
+        share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
+                                           rays, uniform(q, 2, salt), uniform(q, 3, salt))
     if answer != shadow.DARK:
         _add(q, bare.diffuse[q] * share, bare.glossy[q] * glossy_share, colours, pixels, out)
 
 
 @pixel_jit
-def _trace_pixels(index, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, rays, out):
+def _trace_pixels(index, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, out):
     """Add the light that a second look at the map, and rays, find at the pixels of `index`."""
     blocks = (len(index) + BLOCK - 1) // BLOCK
     for block in prange(blocks):
         stack = np.empty(STACK, np.int32)
         for k in range(block * BLOCK, min((block + 1) * BLOCK, len(index))):
-            _trace_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, rays, out)
+            _trace_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, out)
 
 
 @device_jit
