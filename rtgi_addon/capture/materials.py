@@ -6,6 +6,7 @@ Only evaluated copies are read, and one field of them is written: `number_materi
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import bpy
@@ -15,6 +16,7 @@ from ..core.frame import Material
 from .images import ImageCache
 from .nodes import NodeReader, Points, node_tree, normal_reflectance
 
+_GLOSSY_NODES = ("BSDF_PRINCIPLED", "BSDF_GLOSSY", "BSDF_ANISOTROPIC")
 SURFACE_TYPES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
 
 # how each thing that is not modelled shows up; the datablock's name goes in front
@@ -284,6 +286,16 @@ def used_materials(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Material]:
     return sorted(found.values(), key=lambda material: material.name_full)
 
 
+def _keeps_energy(material: bpy.types.Material | None) -> bool:
+    """False if every glossy node of the material is set to single scattering; node groups are not looked into.
+
+    Cycles' Glossy Color leaves that loss out, so it has to be known.
+    """
+    tree = node_tree(material) if material else None
+    kinds = {node.distribution for node in tree.nodes if node.type in _GLOSSY_NODES} if tree else set()
+    return not kinds or "MULTI_GGX" in kinds
+
+
 def _to_material(name: str, surface: Surface) -> Material:
     def colour(values: np.ndarray) -> tuple[float, float, float]:
         return tuple(float(v) for v in values.mean(0))
@@ -343,6 +355,7 @@ def read_materials(depsgraph: bpy.types.Depsgraph, cache: MaterialCache | None =
             if any(kind == "uv" for kind, _ in reader.values.needs):
                 surface = SurfaceReader(cache.images, _UnitSquare()).material(material)
             found = _to_material(name, surface)
+        found = dataclasses.replace(found, keeps_energy=_keeps_energy(material))
         kept[name, trace] = found
         materials.append(found)
         traces.append(trace)

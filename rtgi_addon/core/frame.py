@@ -183,7 +183,10 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Material:
-    """What a surface is made of where no pass tells it per pixel (constants, or means of textures)."""
+    """What a surface is made of where no pass tells it per pixel (constants, or means of textures).
+
+    `keeps_energy` is False for a lobe of single scattering, which loses what the microfacets hide from each other.
+    """
 
     name: str
     albedo: tuple[float, float, float] = (0.8, 0.8, 0.8)
@@ -191,6 +194,7 @@ class Material:
     roughness: float = 0.5
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     alpha: float = 1.0
+    keeps_energy: bool = True
 
 
 @dataclass(frozen=True)
@@ -230,6 +234,12 @@ class Frame:
     world: World = field(default_factory=World)
     origin_ws: np.ndarray = field(default_factory=lambda: np.zeros(3))
     warnings: tuple[str, ...] = ()
+
+    @property
+    def keeps_energy(self) -> bool:
+        """Whether glossy light is to add up to Glossy Color; a frame of mixed materials is taken to."""
+        glossy = [material for material in self.materials if max(material.specular) > 1e-4]
+        return not glossy or any(material.keeps_energy for material in glossy)
 
     @functools.cached_property
     def scale_m(self) -> float:

@@ -61,11 +61,13 @@ def ggx_lobe(normal, fixed, other, alpha2, f0=F0):
 
 
 @functools.cache
-def albedo_table() -> np.ndarray:
+def albedo_table(keeps_energy: bool = True) -> np.ndarray:
     """(GAIN_STEPS, GAIN_STEPS, 2) float32: hemispherical integrals of the lobe, without Fresnel and of Fresnel's rise alone.
 
     Rows are cosines of `fixed`, columns alphas, at the middles of even cells of [0, 1]. Half vectors are drawn with the
     density D cos: then the integrand is shadowing x Fresnel x 4 cos_other (v.h) / cos_h, and smooth for every alpha.
+    For lobes of single scattering, which do not keep energy, both are relative to the first: then the gain leaves out
+    what the microfacets hide, as the colour that scales it does.
     """
     steps = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
     cos_f, alpha2 = steps[:, None, None, None], (steps**2)[None, :, None, None]
@@ -79,7 +81,8 @@ def albedo_table() -> np.ndarray:
     g = np.sqrt(cos_d**2 + 1.25)
     b = (cos_d * (g + cos_d) - 1) / (cos_d * (g - cos_d) + 1)
     rise = (0.5 * ((g - cos_d) / (g + cos_d)) ** 2 * (1 + b * b) - 0.04) / 0.96
-    return np.stack([lobe.mean((2, 3)), (lobe * rise).mean((2, 3))], -1).astype(np.float32)
+    table = np.stack([lobe.mean((2, 3)), (lobe * rise).mean((2, 3))], -1)
+    return (table if keeps_energy else table / table[..., :1]).astype(np.float32)
 
 
 @device_jit
@@ -99,13 +102,13 @@ def fit_lobe(reflectance, cos_fixed, alpha, albedos):
     """(F0, gain) of a lobe that reflects `reflectance` towards `fixed`; `albedos` is `albedo_table()`.
 
     The gain is 1 / (hemispherical integral of `ggx_lobe`). With r the share of the lobe that Fresnel's rise takes,
-    reflectance = F0 + (1 - F0) r. Near grazing the two terms are hard to tell apart, so what comes out like a dielectric
-    is taken as one of index 1.5; above an F0 of 0.2, which only metals have, the solution stands.
+    reflectance = F0 + (1 - F0) r. Near grazing, where r is large, the two terms are hard to tell apart; there what comes
+    out like a dielectric is taken as one of index 1.5, and only a metal, with an F0 above 0.2, keeps its solution.
     """
     flat, rise = lobe_albedos(albedos, cos_fixed, alpha)
     r = min(rise / max(flat, f32(1e-3)), f32(0.9))
-    solved = min(max((reflectance - r) / (ONE - r), F0), ONE)
-    t = min(max((solved - f32(0.08)) / f32(0.12), ZERO), ONE)
-    f0 = F0 + t * (solved - F0)
+    solved = min(max((reflectance - r) / (ONE - r), f32(0.01)), ONE)
+    metal, steep = (solved - f32(0.08)) / f32(0.12), (f32(0.2) - r) * f32(10)
+    f0 = F0 + min(max(max(metal, steep), ZERO), ONE) * (solved - F0)
     at_fixed = fresnel(min(max(cos_fixed, f32(0.02)), ONE), f0)
     return f0, at_fixed / max(f0 * flat + (ONE - f0) * rise, f32(0.02) * at_fixed)

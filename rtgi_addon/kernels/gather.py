@@ -33,7 +33,7 @@ from .clusters import (
 )
 from .jit import device_jit, pixel_jit, prange
 from .sampling import uniform
-from .vec3 import ONE, ZERO, Vec3, along, dot, f32, lifted, load, load_column, scaled, sub
+from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_column, scaled, sub
 
 HALF, THIRD = f32(0.5), f32(1 / 3)
 LEAST = f32(0.25)           # a cosine counts at least this share of the most that any texel of the cluster may have
@@ -188,7 +188,8 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, near, 
         if gives <= ZERO:
             continue
         target_point = lifted(load_column(T, 0, k), load_column(T, NORMAL, k), offset_m)
-        if is_occluded(bvh, stack, origin, sub(target_point, origin)):
+        start_point = begun(origin, sub(target_point, origin), offset_m)
+        if is_occluded(bvh, stack, start_point, sub(target_point, start_point)):
             continue
         s = total / (w[c] * share * f32(rays))
         s *= min(ONE, MAX_SHARES * total / f32(rays) / (gives * s))

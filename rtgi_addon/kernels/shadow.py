@@ -27,6 +27,7 @@ from .vec3 import ONE, ZERO, Vec3, along, dot, f32, scaled
 
 PERSPECTIVE, ORTHOGRAPHIC, EQUIRECTANGULAR = 0, 1, 2
 LIT, DARK, ASK = 1, 2, 3
+CLEAR_PX = f32(3)           # texels by which an occluder must stand clear of a point to be trusted
 NOTHING = f32(-1e30)        # height where a view sees nothing, and reach where no silhouette is
 TOLERANCE_PX = f32(0.05)    # steps below this share of a texel's footprint are seen as one surface
 QUAD_SHARE = f32(0.1)       # and below this share of the height range of the four texels around a point
@@ -217,7 +218,8 @@ def classify(m, p, error):
     shown = (a * (ONE - fx) + b * fx) * (ONE - fy) + (c * (ONE - fx) + d * fx) * fy
     if abs(h - shown) <= slack:
         return LIT
-    return DARK if h < low - slack else ASK
+    # at the foot of a wall the floor's texels are nearer to the lamp than the wall by as much as a texel is wide
+    return DARK if h < low - slack - CLEAR_PX * foot * scale else ASK
 
 
 @device_jit
@@ -246,7 +248,8 @@ def _plane_height(m, n, over, h, column, row, i, j):
 def look_around(m, p, n, error):
     """LIT, DARK or ASK for point p of a triangle with unit normal n, for a lamp that has a size.
 
-    LIT if no texel that the lamp's outline may cover rises above the triangle's plane, DARK if all of them do.
+    LIT if no texel that the lamp's outline may cover rises above the triangle's plane, DARK if all of them do and stand
+    clear of p: at the foot of a wall the floor's texels rise above the wall's plane, and none of them shades it.
     """
     column, row, h = _project(m, p)
     if h == NOTHING or not (abs(column) < f32(1e6) and abs(row) < f32(1e6)):
@@ -273,7 +276,7 @@ def look_around(m, p, n, error):
     if abs(over) <= f32(1e-20):
         return ASK
     over = ONE / over
-    above, below = 0, 0
+    above, below, clear = 0, 0, 0
     for y in range(i - radius, i + radius + 2):
         for x in range(j - radius, j + radius + 2):
             c = _corner(m, y, x)
@@ -284,11 +287,14 @@ def look_around(m, p, n, error):
             slack = (TOLERANCE_PX * foot + error * scale) * scale
             if there > _plane_height(m, n, over, h, column, row, y, x) + slack:
                 above += 1
+                clear += there > h + ((f32(radius) + CLEAR_PX) * foot + error * scale) * scale
             else:
                 below += 1
             if above > 0 and below > 0:
                 return ASK
-    return DARK if above > 0 else LIT
+    if above == 0:
+        return LIT
+    return DARK if clear == above else ASK
 
 
 @device_jit

@@ -75,6 +75,12 @@ def lifted(p, n, offset_m):
 
 
 @device_jit
+def begun(o, d, offset_m):
+    """The start o of a ray along d moved on by `offset_m`: in a crease rounding may put o behind the other surface."""
+    return along(o, d, offset_m / max(math.sqrt(dot(d, d)), f32(1e-30)))
+
+
+@device_jit
 def dot(a, b):
     """Scalar product."""
     return a.x * b.x + a.y * b.y + a.z * b.z

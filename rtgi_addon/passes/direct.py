@@ -27,7 +27,7 @@ from ..kernels.bvh import STACK, Bvh, is_occluded
 from ..kernels.jit import device_jit, pixel_jit, prange
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
-from ..kernels.vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load, normalized_or, sub
+from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
 from .base import Context, PassResult, Technique, Transport
 
 NONE, MAP, RAYS = 0, 1, 2   # how a light's shadows are found
@@ -38,6 +38,7 @@ BLOCK = 32                  # pixels that one thread traces in a row
 TILE_PIXELS = 1 << 17       # pixels between two looks at Esc
 POSITION_ERROR = f32(2e-6)  # of the distance to the viewer and of the coordinates
 OFFSET = f32(1.5e-6)        # of the coordinates: rounding of a ray's start on its triangle
+SKIP = f32(1e-6)            # of the largest coordinate: what a shadow ray does not look at before its start
 SPAN = f32(1e-4)            # of the viewer's distance: how far from its position a pixel's triangle is looked for
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -159,7 +160,7 @@ def _pack_pixels(frame: Frame) -> _Pixels:
     is_parallel = camera.projection is Projection.ORTHOGRAPHIC
     eye = camera.world_from_view[:3, 2] if is_parallel else camera.position_ws
     return _Pixels(position, normal, specular, np.ascontiguousarray(g.roughness.ravel(), np.float32), np.float32([eye]),
-                   f32(np.abs(camera.position_ws).max()), is_parallel, albedo_table())
+                   f32(np.abs(camera.position_ws).max()), is_parallel, albedo_table(frame.keeps_energy))
 
 
 def _length_out_of(bvh: Bvh | None) -> float:
@@ -290,8 +291,10 @@ def _is_seen(bvh, stack, start, side, p, d):
     """Does the vector d from p to a lamp arrive? A lamp behind the triangle's own plane is hidden by it."""
     if dot(side, d) <= ZERO:
         return False
-    target = Vec3(p.x + d.x - start.x, p.y + d.y - start.y, p.z + d.z - start.z)
-    return not is_occluded(bvh, stack, start, target)
+    # in a crease rounding may put the start behind the other surface: begin a few units in the last place along the ray
+    size = max(abs(p.x), max(abs(p.y), abs(p.z)))
+    begin = begun(start, d, SKIP * size)
+    return not is_occluded(bvh, stack, begin, Vec3(p.x + d.x - begin.x, p.y + d.y - begin.y, p.z + d.z - begin.z))
 
 
 @device_jit

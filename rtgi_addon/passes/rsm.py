@@ -48,7 +48,7 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
         g, light, count = view.gbuffer, frame.lights[view.light_index], np.count_nonzero(reflects, axis=1)
         fill_texels(table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo, g.specular,
                     g.roughness, view.incident_flux, vector(light.position_ws), vector(-light.direction_ws),
-                    light.kind is LightKind.SUN, albedo_table(), use_glossy)
+                    light.kind is LightKind.SUN, albedo_table(frame.keeps_energy), use_glossy)
         offset += int(count.sum())
     return table
 

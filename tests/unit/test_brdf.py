@@ -89,3 +89,11 @@ def test_table_is_finite_and_no_surface_reflects_more_than_it_gets():
     table = albedo_table()
     # single scattering loses light; 1 % for the rule's own error at grazing
     assert np.isfinite(table).all() and (table >= 0).all() and table.max() <= 1.01
+
+
+@pytest.mark.parametrize("cosine", [0.25, 0.9])
+def test_single_scattering_loses_what_the_microfacets_hide(cosine):
+    # Fresnel aside, the lobe of a perfect reflector carries its own albedo, which is below 1
+    alpha = 0.6
+    _, gain = fit_lobe(f32(1), f32(cosine), f32(alpha), albedo_table(False))
+    assert gain == pytest.approx(1, rel=1e-3) and hemispherical(cosine, alpha, 1.0) < 0.95
