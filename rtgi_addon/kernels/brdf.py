@@ -102,13 +102,13 @@ def fit_lobe(reflectance, cos_fixed, alpha, albedos):
     """(F0, gain) of a lobe that reflects `reflectance` towards `fixed`; `albedos` is `albedo_table()`.
 
     The gain is 1 / (hemispherical integral of `ggx_lobe`). With r the share of the lobe that Fresnel's rise takes,
-    reflectance = F0 + (1 - F0) r. Near grazing, where r is large, the two terms are hard to tell apart; there what comes
-    out like a dielectric is taken as one of index 1.5, and only a metal, with an F0 above 0.2, keeps its solution.
+    reflectance = F0 + (1 - F0) r. The two terms are hard to tell apart, so what comes out like a dielectric is taken as
+    one of index 1.5 (measured: closer to Cycles than the solution); above an F0 of 0.2, which only metals have, it stands.
     """
     flat, rise = lobe_albedos(albedos, cos_fixed, alpha)
     r = min(rise / max(flat, f32(1e-3)), f32(0.9))
-    solved = min(max((reflectance - r) / (ONE - r), f32(0.01)), ONE)
-    metal, steep = (solved - f32(0.08)) / f32(0.12), (f32(0.2) - r) * f32(10)
-    f0 = F0 + min(max(max(metal, steep), ZERO), ONE) * (solved - F0)
+    solved = min(max((reflectance - r) / (ONE - r), F0), ONE)
+    t = min(max((solved - f32(0.08)) / f32(0.12), ZERO), ONE)
+    f0 = F0 + t * (solved - F0)
     at_fixed = fresnel(min(max(cos_fixed, f32(0.02)), ONE), f0)
     return f0, at_fixed / max(f0 * flat + (ONE - f0) * rise, f32(0.02) * at_fixed)
