@@ -21,7 +21,7 @@ class DirectParams(Params):
     """Light of lamps that reaches a pixel without a bounce."""
 
     soft_shadow_rays: int = param(
-        32, "Rays towards a lamp that has a size, at each pixel in its half shadow; noise falls with the square root",
+        16, "Rays towards a lamp that has a size, at each pixel in its half shadow; noise falls with the square root",
         low=1, high=1024, soft_high=256)
     exact_shadows: bool = param(
         False, "Trace a ray at every pixel instead of trusting the shadow map; slower, and the yardstick for the map")
@@ -89,7 +89,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
     },
     "BALANCED": {
-        "direct": {"soft_shadow_rays": 32},
+        "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 4, "rays": 32},
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
     },

@@ -29,6 +29,7 @@ from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_in_tiles, gather_on_lattice
 
 RAY_OFFSET = 2e-5           # of the scene's size: both ends of a shadow ray are lifted off their surface by it
+MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
@@ -57,6 +58,9 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
     table = texel_table(frame, params.glossy_texels)
     if not table.shape[1]:
         return PassResult({Transport.BOUNCE_DIFFUSE: np.zeros_like(frame.gbuffer.albedo)}, diagnostics={"texels": 0})
+    n_texels = table.shape[1]
+    if n_texels > MAX_TEXELS:
+        table = thin_texels(table, MAX_TEXELS, seed)
     context.checkpoint("Cluster lit texels", 0.0)
     clusters = cluster_texels(table, params.clusters, frame.scale_m)
     bvh = context.bvh(frame.geometry)
@@ -67,7 +71,7 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
 
     irradiance, diagnostics = gather_on_lattice(frame, gather, params.lattice_px, 2 * seed + 1, context, "Gather the bounce")
     return PassResult({Transport.BOUNCE_DIFFUSE: irradiance},
-                      diagnostics={"texels": table.shape[1], "clusters": clusters.table.shape[1], **diagnostics})
+                      diagnostics={"texels": n_texels, "clusters": clusters.table.shape[1], **diagnostics})
 
 
 def _all_texels(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
