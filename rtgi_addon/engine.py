@@ -62,7 +62,7 @@ class RTGIEngine(bpy.types.RenderEngine):
 
     def __del__(self):
         # Blender may have freed the struct, or never have run __init__
-        with contextlib.suppress(ReferenceError, AttributeError):
+        with contextlib.suppress(ReferenceError, AttributeError, ImportError):    # the last: Python is shutting down
             from cycles import engine as cycles_engine
 
             cycles_engine.free(self)
