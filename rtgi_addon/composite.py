@@ -12,11 +12,14 @@ from .passes.base import PassResult, Transport
 
 
 def merge(results: Iterable[tuple[str, PassResult]]) -> dict[Transport, np.ndarray]:
-    """Each transport with the light of its one owner; InputError where two techniques supply the same one."""
+    """Each transport with the light of its one owner; InputError where two techniques supply the same one.
+
+    A later technique that took the earlier light into its own (`PassResult.takes_over`) becomes the owner.
+    """
     light, owner = {}, {}
     for name, result in results:
         for transport, values in result.light.items():
-            if transport in owner:
+            if transport in owner and transport not in result.takes_over:
                 raise InputError(f"{owner[transport]} and {name} both supply the {transport.value} light and would count it "
                                  "twice; switch one of them off")
             light[transport], owner[transport] = values, name

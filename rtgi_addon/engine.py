@@ -252,10 +252,12 @@ def _output_values(frame, result):
 
     light, black = result.transports, np.zeros_like(frame.gbuffer.albedo)
 
-    def radiosity(transport):
-        return light.get(transport, black) / np.float32(np.pi)
+    def radiosity(*transports):
+        present = [light[transport] for transport in transports if transport in light]
+        return sum(present[1:], start=present[0]) / np.float32(np.pi) if present else black
 
-    direct, world, bounce = radiosity(T.DIRECT_DIFFUSE), radiosity(T.WORLD_DIFFUSE), radiosity(T.BOUNCE_DIFFUSE)
+    direct, world = radiosity(T.DIRECT_DIFFUSE, T.EMISSION_DIFFUSE), radiosity(T.WORLD_DIFFUSE)
+    bounce = radiosity(T.BOUNCE_DIFFUSE, T.NEAR_DIFFUSE)
     albedo = frame.gbuffer.albedo
     direct_glossy, world_glossy = light.get(T.DIRECT_GLOSSY, black), light.get(T.WORLD_GLOSSY, black)
     return {

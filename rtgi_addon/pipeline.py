@@ -103,8 +103,10 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
             if technique.needs_geometry and frame.geometry is not None:
                 with stages("bvh"):
                     context.bvh(frame.geometry)
+            context.light = merge(results)
             with stages(name):
                 results.append((name, technique.compute(frame, settings.params[name], context, settings.seed)))
+        context.light = {}
         layer = threading_layer()
     with stages("composite"):
         light = merge(results)

@@ -12,7 +12,9 @@ import numpy as np
 
 from .core.frame import Frame, Light, LightKind
 from .core.settings import Settings
+from .core.techniques import ALWAYS_ON
 from .passes import TECHNIQUES
+from .passes.base import Technique, Transport
 
 CYCLES_VIEWS = 4            # lamps whose view Cycles renders; further ones are cast through the triangles
 CAST_VIEW_PX = (192, 108)   # size of a cast view
@@ -98,18 +100,35 @@ def plan_frame(frame: Frame, settings: Settings, capture: CapturePlan) -> Plan:
     facts = {"surface_share": float(mask.mean()), "lights": len(frame.lights), "light_views": len(frame.views),
              "triangles": len(frame.geometry) if frame.geometry is not None else 0,
              "glossy_share": float((frame.gbuffer.specular.max(-1) > 0).mean())}
-    chosen = []
-    for name, technique in TECHNIQUES.items():
-        reason = None
+    chosen, owner = set(), {}
+    for name in _by_preference(settings):
+        technique, reason = TECHNIQUES[name], None
         if not settings.enabled.get(name, False):
             reason = "switched off"
-        elif settings.use_auto or name in ("direct", "world"):
-            reason = _not_needed(name, frame, mask)
+        elif settings.use_auto or name in ALWAYS_ON:
+            reason = _not_needed(name, frame, mask) or _already_owned(technique, owner)
         if reason:
             left_out.append((technique.label, reason))
-        else:
-            chosen.append(name)
-    return Plan(tuple(chosen), tuple(left_out), facts)
+            continue
+        chosen.add(name)
+        owner |= {transport: technique.label for transport in technique.transports if transport not in owner}
+    return Plan(tuple(name for name in TECHNIQUES if name in chosen), tuple(left_out), facts)
+
+
+def _by_preference(settings: Settings) -> list[str]:
+    """All techniques, those first that get a transport which several could supply.
+
+    The planner prefers by the order of the registry; without it, what the user switched on stands before what always runs.
+    """
+    return sorted(TECHNIQUES, key=lambda name: not settings.use_auto and name in ALWAYS_ON)
+
+
+def _already_owned(technique: Technique, owner: dict[Transport, str]) -> str | None:
+    """Why a technique has nothing left to supply, or None. A part that is owned keeps a technique out: it would count twice."""
+    for transport in sorted(technique.transports, key=lambda transport: transport.value):
+        if transport in owner:
+            return f"{owner[transport]} supplies the {transport.value} light"
+    return None
 
 
 def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:

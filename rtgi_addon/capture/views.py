@@ -120,7 +120,6 @@ class ViewCapture:
                  window: Window, origin_ws: np.ndarray, material_roughness: np.ndarray | None = None):
         self.engine, self.data, self.depsgraph = engine, data, depsgraph
         self.window, self.origin_ws, self.material_roughness = window, origin_ws, material_roughness
-        self.seconds = 0.0
 
     def passes(self) -> dict[str, np.ndarray]:
         """Render the view and read its passes: (H, W, C) float32 with row 0 at the top."""

@@ -12,12 +12,13 @@ from ..pipeline import Result
 from . import metrics
 from .halves import PARTS, Reference
 
-# which of RTGI's transports make up a part of the reference; Cycles counts the world's light as direct
+# which of RTGI's transports make up a part of the reference; Cycles counts the light of the world and of emissive surfaces as direct
 TRANSPORTS_OF: dict[str, tuple[Transport, ...]] = {
-    "direct": (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.DIRECT_GLOSSY, Transport.WORLD_GLOSSY),
-    "direct diffuse": (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE),
+    "direct": (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE, Transport.DIRECT_GLOSSY,
+               Transport.WORLD_GLOSSY),
+    "direct diffuse": (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE),
     "direct glossy": (Transport.DIRECT_GLOSSY, Transport.WORLD_GLOSSY),
-    "bounce": (Transport.BOUNCE_DIFFUSE,),
+    "bounce": (Transport.BOUNCE_DIFFUSE, Transport.NEAR_DIFFUSE),
     "glossy bounce": (Transport.BOUNCE_GLOSSY,),
 }
 BLACK = 1e-9                # a part with less than this share of the picture's light is not there

@@ -17,35 +17,43 @@ from ..errors import Cancelled
 class Transport(enum.Enum):
     """A kind of light path; `composite` lets each have one owner only.
 
-    Diffuse transports are irradiance (W/m2) on the pixel's surface; glossy ones are radiance (W/(m2 sr)) that leaves the
-    pixel towards the camera, colour included.
+    Direct, world and emission light comes straight from lamps, from the background and from emissive surfaces; bounce light
+    takes one surface between. Diffuse transports are irradiance (W/m2) on the pixel's surface; glossy ones are radiance
+    (W/(m2 sr)) that leaves the pixel towards the camera, colour included.
     """
 
     DIRECT_DIFFUSE = "direct diffuse"
     DIRECT_GLOSSY = "direct glossy"
     WORLD_DIFFUSE = "world diffuse"
     WORLD_GLOSSY = "world glossy"
+    EMISSION_DIFFUSE = "emission diffuse"
     BOUNCE_DIFFUSE = "bounce diffuse"
+    NEAR_DIFFUSE = "near bounce diffuse"
     BOUNCE_GLOSSY = "bounce glossy"
 
     @property
     def is_diffuse(self) -> bool:
-        return self in (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.BOUNCE_DIFFUSE)
+        return self.value.endswith("diffuse")
 
 
 @dataclass(frozen=True)
 class PassResult:
-    """What a pass gives: (H, W, 3) float32 a transport, an optional visibility (H, W) float32 in [0, 1], diagnostics."""
+    """What a pass gives: (H, W, 3) float32 a transport, an optional visibility (H, W) float32 in [0, 1], diagnostics.
+
+    `takes_over` names transports whose earlier light, from `Context.light`, went into this result and is replaced by it.
+    """
 
     light: dict[Transport, np.ndarray]
     visibility: np.ndarray | None = None
     diagnostics: dict[str, Any] = field(default_factory=dict)
+    takes_over: frozenset[Transport] = frozenset()
 
 
 class Context:
-    """What a running pass may ask of its surroundings: whether to stop, where to report, and the scene's BVH.
+    """What a running pass may ask of its surroundings: whether to stop, where to report, earlier light, the scene's BVH.
 
-    The BVH is built at most once for the same triangles, also over frames.
+    The BVH is built at most once for the same triangles, also over frames. `light` holds what the techniques before this one
+    have supplied to the frame, by transport; a pass that reads it takes a missing transport as black.
     """
 
     def __init__(self, is_cancelled: Callable[[], bool] = lambda: False,
@@ -53,7 +61,7 @@ class Context:
         self.is_cancelled, self._report = is_cancelled, report
         self._bvh_of: np.ndarray | None = None
         self._bvh: Any = None
-        self.seconds: dict[str, float] = {}
+        self.light: dict[Transport, np.ndarray] = {}
 
     def listen(self, is_cancelled: Callable[[], bool], report: Callable[[str, float], None]) -> None:
         """Follow another render's Esc and progress; what is cached stays."""

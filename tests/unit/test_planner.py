@@ -1,0 +1,46 @@
+"""Which techniques run: what the frame does not need is left out, and no light has two owners."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rtgi_addon import planner
+from rtgi_addon.composite import merge
+from rtgi_addon.core.frame import LightKind
+from rtgi_addon.core.synthetic import make_room_frame
+from rtgi_addon.core.techniques import default_settings
+from rtgi_addon.errors import InputError
+from rtgi_addon.passes.base import PassResult, Transport
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return make_room_frame(24, 16, (LightKind.POINT,), world_radiance=0.5)
+
+
+def test_no_transport_has_two_owners_when_the_planner_chooses(frame):
+    plan = planner.plan_frame(frame, default_settings(), planner.CapturePlan())
+    supplied = [t for name in plan.techniques for t in planner.TECHNIQUES[name].transports]
+    assert len(supplied) == len(set(supplied))
+
+
+def test_a_black_world_and_no_lamp_leave_everything_out(frame):
+    dark = dataclasses.replace(make_room_frame(24, 16, ()), views=())
+    plan = planner.plan_frame(dark, default_settings(), planner.CapturePlan())
+    assert {"direct", "world", "rsm"}.isdisjoint(plan.techniques)
+    assert ("World Light", "the world is black") in plan.left_out
+
+
+def _light(value, **kwargs):
+    return PassResult({Transport.BOUNCE_GLOSSY: np.full((1, 1, 3), value, np.float32)}, **kwargs)
+
+
+def test_two_owners_of_one_transport_are_refused():
+    with pytest.raises(InputError, match="a and b both supply the bounce glossy light"):
+        merge([("a", _light(1)), ("b", _light(2))])
+
+
+def test_light_that_was_taken_over_counts_once():
+    taken = _light(3, takes_over=frozenset({Transport.BOUNCE_GLOSSY}))
+    assert merge([("a", _light(1)), ("b", taken)])[Transport.BOUNCE_GLOSSY].max() == 3
