@@ -124,7 +124,7 @@ def _by_preference(settings: Settings) -> list[str]:
 
 
 def _already_owned(technique: Technique, owner: dict[Transport, str]) -> str | None:
-    """Why a technique has nothing left to supply, or None. A part that is owned keeps a technique out: it would count twice."""
+    """Why a technique would count light twice, or None."""
     for transport in sorted(technique.transports, key=lambda transport: transport.value):
         if transport in owner:
             return f"{owner[transport]} supplies the {transport.value} light"

@@ -12,7 +12,7 @@ from ..pipeline import Result
 from . import metrics
 from .halves import PARTS, Reference
 
-# which of RTGI's transports make up a part of the reference; Cycles counts the light of the world and of emissive surfaces as direct
+# transports of each part of the reference; Cycles counts light of the world and of emissive surfaces as direct
 TRANSPORTS_OF: dict[str, tuple[Transport, ...]] = {
     "direct": (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE, Transport.DIRECT_GLOSSY,
                Transport.WORLD_GLOSSY),
