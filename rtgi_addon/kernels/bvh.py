@@ -1,7 +1,9 @@
-"""A bounding volume hierarchy over triangles: binned SAH build, any-hit segments and closest hits.
+"""A bounding volume hierarchy over triangles: any-hit segments and closest hits.
 
-Two children a node, both boxes in the parent (Aila and Laine 2009), so that a ray visits a node only after it has met its
-box. Triangles are two-sided (Moeller and Trumbore 1997). 262,000 triangles build in 0.1 to 0.2 s on one core.
+Where Blender's Embree is at hand (`embree`), it holds the triangles: 1.5 to 3 times as many rays a second. Elsewhere a tree
+of our own does: binned SAH build, two children a node, both boxes in the parent (Aila and Laine 2009), so that a ray visits
+a node only after it has met its box. 262,000 triangles build in 0.1 to 0.2 s on one core. Triangles are two-sided (Moeller
+and Trumbore 1997).
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .embree import build_scene, intersect, occluded
 from .jit import device_jit
 from .vec3 import ONE, ZERO, Vec3, cross, dot, f32, sub
 
@@ -26,22 +29,39 @@ class Bvh(NamedTuple):
 
     boxes (n, 2, 6) float32: lowest and highest corner of each child; kids (n, 2) int32: a node, or a leaf coded as
     -(first * 8 + count) - 1; corners (T, 9) float32: corner and two edges, in leaf order; source (T,) int32: index of
-    the triangle in the geometry.
+    the triangle in the geometry; rays (3,) uint64: addresses of Embree's scene and functions, zeros for a tree of our own.
+    With Embree there is one node, with the bounds of all triangles, and no leaf.
     """
 
     boxes: np.ndarray
     kids: np.ndarray
     corners: np.ndarray
     source: np.ndarray
+    rays: np.ndarray
 
 
-def build_bvh(corners_ws: np.ndarray) -> Bvh:
-    """BVH over (T, 3, 3) float32 triangles; those with a coordinate that is not finite are left out."""
+def build_bvh(corners_ws: np.ndarray, use_embree: bool = True) -> Bvh:
+    """BVH over (T, 3, 3) float32 triangles; those with a coordinate that is not finite are left out.
+
+    `use_embree` False grows our own tree also where Embree is there.
+    """
     finite = np.isfinite(corners_ws).all((1, 2))
     kept = np.flatnonzero(finite).astype(np.int32)
     triangles = np.ascontiguousarray(corners_ws[kept], np.float32)
+    if use_embree:
+        packed = np.concatenate([triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]], 1)
+        rays = build_scene(triangles, packed)
+        if rays.any():
+            return Bvh(_whole_box(triangles), np.full((1, 2), -1, np.int32), packed, kept, rays)
     boxes, kids, packed, order = _build(triangles)
-    return Bvh(boxes, kids, packed, kept[order].astype(np.int32))
+    return Bvh(boxes, kids, packed, kept[order].astype(np.int32), np.zeros(3, np.uint64))
+
+
+def _whole_box(triangles: np.ndarray) -> np.ndarray:
+    """(1, 2, 6) float32: a node whose children both span all triangles."""
+    flat = triangles.reshape(-1, 3)
+    whole = np.concatenate([flat.min(0, initial=BIG), flat.max(0, initial=-BIG)])
+    return np.tile(whole.astype(np.float32), (1, 2, 1))
 
 
 @device_jit
@@ -211,6 +231,8 @@ def _leaf_blocks(corners, leaf, o, d):
 @device_jit
 def is_occluded(bvh, stack, o, d):
     """Does any triangle meet the open segment from o to o + d? `stack` is (STACK,) int32 scratch."""
+    if bvh.rays[0] != 0:
+        return occluded(bvh.rays, o.x, o.y, o.z, d.x, d.y, d.z, SEGMENT_END)
     boxes, kids, corners = bvh.boxes, bvh.kids, bvh.corners
     inv = Vec3(_safe_rcp(d.x), _safe_rcp(d.y), _safe_rcp(d.z))
     depth, node = 0, 0
@@ -257,6 +279,8 @@ def closest_hit(bvh, stack, o, d, reach):
     `slot` indexes `bvh.corners` and `bvh.source`. Nearer children come first; a stacked node that has fallen behind the
     best hit fails its box tests at once, because both children are tested against the shortened reach.
     """
+    if bvh.rays[0] != 0:
+        return intersect(bvh.rays, o.x, o.y, o.z, d.x, d.y, d.z, reach)
     boxes, kids, corners = bvh.boxes, bvh.kids, bvh.corners
     inv = Vec3(_safe_rcp(d.x), _safe_rcp(d.y), _safe_rcp(d.z))
     depth, node = 0, 0
