@@ -77,16 +77,16 @@ def sun_camera(light: Light, points_ws: np.ndarray, bounds_ws: tuple[np.ndarray,
         x, y = in_light[:, :2] @ x_axis, in_light[:, :2] @ y_axis
         low, high = np.quantile([x, y], [TRIM, 1 - TRIM], axis=1)
         extent = np.maximum(high - low, 1e-3 * scale)
-        if best is None or extent.prod() < best[0].prod():
-            best = extent, x_axis, y_axis, (low + high) / 2
-    extent, x_axis, y_axis, centre = best
+        width, height = form.flat_px(min(max(extent[0] / extent[1], 1 / LONGEST), LONGEST))
+        texel_m = max(extent[0] / (width * form.texel_aspect), extent[1] / height) * MARGIN
+        if best is None or texel_m < best[0]:
+            best = texel_m, width, height, x_axis, y_axis, (low + high) / 2
+    texel_m, width, height, x_axis, y_axis, centre = best
     turned = np.eye(4)
     turned[:3, :3] = rotation @ np.array([[x_axis[0], y_axis[0], 0], [x_axis[1], y_axis[1], 0], [0, 0, 1.0]])
     corners = np.array([[bounds_ws[i][0], bounds_ws[j][1], bounds_ws[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     top = float((corners @ rotation[:, 2]).max()) + 0.01 * scale
     turned[:3, 3] = turned[:3, :3] @ np.array([centre[0], centre[1], top])
-    width, height = form.flat_px(min(max(extent[0] / extent[1], 1 / LONGEST), LONGEST))
-    texel_m = max(extent[0] / (width * form.texel_aspect), extent[1] / height) * MARGIN
     half_x, half_y = texel_m * width * form.texel_aspect / 2, texel_m * height / 2
     return Camera(Projection.ORTHOGRAPHIC, turned, width, height, -half_x, half_x, -half_y, half_y)
 
