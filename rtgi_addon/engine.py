@@ -17,6 +17,7 @@ from .capture.unsupported import unsupported_warnings
 from .capture.versions import HAS_ROUGHNESS_PASS, pass_name
 from .capture.views import ViewCapture, full_sphere, main_camera, read_window, world_axes
 from .core.frame import Frame, World
+from .core.transforms import ViewFormat
 from .errors import Cancelled, InputError, RtgiError
 
 FAR_FROM_ORIGIN_M = 1000.0  # a camera farther out than this becomes the frame's own origin, to keep float32 digits
@@ -198,7 +199,7 @@ class RTGIEngine(bpy.types.RenderEngine):
             light = self._lights[i]
             context.checkpoint(f"View of {light.name}", 0.1 + 0.3 * number / len(self._lights))
             cast = i in plan.cast_views
-            form = light_views.ViewFormat(planner.CAST_VIEW_TEXELS) if cast else views.format_of_views(planner.VIEW_TEXELS)
+            form = ViewFormat(planner.CAST_VIEW_TEXELS) if cast else views.format_of_views(planner.VIEW_TEXELS)
             with stages("fit light views"), kernel_session(settings.threads):
                 light_camera = light_views.camera_of(light, frame, bvh, form)
             if light_camera is None:

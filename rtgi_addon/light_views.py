@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from .core.frame import Frame, GBuffer, Light, LightKind, LightView, Material
 from .core.radiometry import texel_flux
-from .core.transforms import Camera, Projection
+from .core.transforms import Camera, Projection, ViewFormat
 from .kernels.bvh import Bvh
 from .kernels.pilot import cast_rays, lit_hits
 from .kernels.vec3 import f32, vector
@@ -20,32 +19,6 @@ WIDE_SPOT_RAD = math.radians(150)   # beyond this a flat image plane wastes its 
 TURNS = 36                  # directions tried for the long edge of a sun's view, over half a turn
 MARGIN = 1.02               # a sun's view is this much larger than its points
 LONGEST = 4.0               # longer edge of a sun's view over the shorter one, at most
-
-
-@dataclass(frozen=True)
-class ViewFormat:
-    """What size a lamp's view may have.
-
-    About `texels` texels. A flat view's are `texel_aspect` times as wide as high, and it is at most `limit_px` (width,
-    height) large; an equirectangular view is `panorama_px` large. None leaves it to the number of texels.
-    """
-
-    texels: int
-    limit_px: tuple[int, int] | None = None
-    texel_aspect: float = 1.0
-    panorama_px: tuple[int, int] | None = None
-
-    def flat_px(self, aspect: float) -> tuple[int, int]:
-        """Width and height in px of a flat view that shows `aspect` times as much across as it does upwards."""
-        wide = math.sqrt(aspect / self.texel_aspect)
-        width, height = math.sqrt(self.texels) * wide, math.sqrt(self.texels) / wide
-        scale = min(1.0, self.limit_px[0] / width, self.limit_px[1] / height) if self.limit_px else 1.0
-        return max(1, round(width * scale)), max(1, round(height * scale))
-
-    def panorama(self, aspect: float) -> tuple[int, int]:
-        """Width and height in px of an equirectangular view of `aspect` times as much longitude as latitude."""
-        high = math.sqrt(self.texels / aspect)
-        return self.panorama_px or (max(1, round(high * aspect)), max(1, round(high)))
 
 
 def spot_camera(light: Light, form: ViewFormat) -> Camera:

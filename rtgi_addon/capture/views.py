@@ -17,9 +17,8 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core.frame import GBuffer
-from ..core.transforms import Camera, Projection
+from ..core.transforms import Camera, Projection, ViewFormat
 from ..errors import CaptureError, InputError
-from ..light_views import ViewFormat
 from .lights import rigid
 from .needs import ROUGHNESS_PASS
 from .versions import pass_name

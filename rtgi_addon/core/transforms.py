@@ -8,6 +8,7 @@ perspective and orthographic views and the ray length for equirectangular ones.
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,6 +105,32 @@ class Camera:
             y = np.arcsin(np.clip(p[..., 1] / np.maximum(depth, 1e-30), -1, 1))
         step_x, step_y = self.pixel_size
         return (x - self.left) / step_x, (self.top - y) / step_y, depth
+
+
+@dataclass(frozen=True)
+class ViewFormat:
+    """What size a lamp's view may have.
+
+    About `texels` texels. A flat view's are `texel_aspect` times as wide as high, and it is at most `limit_px` (width,
+    height) large; an equirectangular view is `panorama_px` large. None leaves it to the number of texels.
+    """
+
+    texels: int
+    limit_px: tuple[int, int] | None = None
+    texel_aspect: float = 1.0
+    panorama_px: tuple[int, int] | None = None
+
+    def flat_px(self, aspect: float) -> tuple[int, int]:
+        """Width and height in px of a flat view that shows `aspect` times as much across as it does upwards."""
+        wide = math.sqrt(aspect / self.texel_aspect)
+        width, height = math.sqrt(self.texels) * wide, math.sqrt(self.texels) / wide
+        scale = min(1.0, self.limit_px[0] / width, self.limit_px[1] / height) if self.limit_px else 1.0
+        return max(1, round(width * scale)), max(1, round(height * scale))
+
+    def panorama(self, aspect: float) -> tuple[int, int]:
+        """Width and height in px of an equirectangular view of `aspect` times as much longitude as latitude."""
+        high = math.sqrt(self.texels / aspect)
+        return self.panorama_px or (max(1, round(high * aspect)), max(1, round(high)))
 
 
 def direction_from_longitude(longitude_rad: np.ndarray, latitude_rad: np.ndarray) -> np.ndarray:
