@@ -202,20 +202,24 @@ class ViewCapture:
         depth = passes["Depth"][..., 0]
         seen = (depth > 0) & (depth < _NOTHING_M)
         depth = np.where(seen, depth, np.float32(np.inf))
-        clean = {name: np.nan_to_num(values, posinf=0.0, neginf=0.0) for name, values in passes.items() if name != "Depth"}
-        normal = clean["Normal"]
-        # an emissive or holdout surface has no closure to give a normal: let it face the viewer
-        towards = camera.world_from_view[:3, 2].astype(np.float32)
-        length = np.linalg.norm(normal, axis=-1, keepdims=True)
-        normal = np.where(seen[..., None], np.where(length > 0.1, normal / np.maximum(length, 1e-6), towards),
-                          np.float32([0, 0, 1])).astype(np.float32)
+        clean = {name: _finite(values) for name, values in passes.items() if name != "Depth"}
         albedo = clean[pass_name("Diffuse Color")]
         black = np.zeros_like(albedo)
         specular = clean.get(pass_name("Glossy Color"), black)
-        emission = np.where(seen[..., None], clean.get(pass_name("Emission"), black),
-                            clean.get(pass_name("Environment"), black))
-        arrays = (depth, camera.positions_ws(depth), normal, np.where(seen[..., None], albedo, 0),
-                  np.where(seen[..., None], specular, 0), self._roughness(clean, albedo, specular), emission)
+        emission = clean.get(pass_name("Emission"), black)
+        normal = clean["Normal"]
+        length = np.sqrt(np.einsum("hwc,hwc->hw", normal, normal))
+        # an emissive or holdout surface has no closure to give a normal: let it face the viewer
+        faceless = seen & (length <= 0.1)
+        normal = normal / np.maximum(length, np.float32(1e-6))[..., None]
+        normal[faceless] = camera.world_from_view[:3, 2]
+        roughness = self._roughness(clean, albedo, specular)
+        nothing = ~seen
+        if nothing.any():
+            albedo, specular, emission = albedo.copy(), specular.copy(), emission.copy()
+            normal[nothing], albedo[nothing], specular[nothing] = (0, 0, 1), 0, 0
+            emission[nothing] = clean.get(pass_name("Environment"), black)[nothing]
+        arrays = (depth, camera.positions_ws(depth), normal, albedo, specular, roughness, emission)
         return GBuffer(*(np.ascontiguousarray(a, np.float32) for a in arrays))
 
     def _roughness(self, passes: dict[str, np.ndarray], albedo: np.ndarray, specular: np.ndarray) -> np.ndarray:
@@ -232,6 +236,11 @@ class ViewCapture:
         if index is None or self.material_roughness is None or not len(self.material_roughness):
             return np.ones(albedo.shape[:2], np.float32)
         return self.material_roughness[np.clip(index[..., 0].astype(np.int32), 0, len(self.material_roughness) - 1)]
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """`values` with 0 for what is not finite: Cycles divides by colours that may be black."""
+    return values if np.isfinite(values).all() else np.nan_to_num(values, posinf=0.0, neginf=0.0)
 
 
 def full_sphere(width_px: int, height_px: int, world_from_view: np.ndarray) -> Camera:

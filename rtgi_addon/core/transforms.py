@@ -83,11 +83,27 @@ class Camera:
 
     def positions_ws(self, depth: np.ndarray) -> np.ndarray:
         """Points seen, (H, W, 3) float32 m, from `depth` (H, W) m; where depth is not finite the point is 0."""
-        origin_vs, direction_vs = self.rays_vs()
         finite = np.isfinite(depth)
-        point_vs = origin_vs + np.where(finite, depth, 0.0)[..., None] * direction_vs
-        point_ws = point_vs @ self.world_from_view[:3, :3].T + self.position_ws
-        return np.where(finite[..., None], point_ws, 0.0).astype(np.float32)
+        depth = np.where(finite, depth, 0.0).astype(np.float32)
+        out = np.empty((*depth.shape, 3), np.float32)
+        rotation, place = self.world_from_view[:3, :3], self.position_ws
+        if self.projection is Projection.EQUIRECTANGULAR:
+            _, direction_vs = self.rays_vs()
+            np.add(depth[..., None] * (direction_vs @ rotation.T), place, out=out, casting="same_kind")
+        else:
+            # an axis at a time: a fifth of the time of matrices in float64, and as exact as the depth
+            x, y = self.pixel_centres()
+            is_perspective = self.projection is Projection.PERSPECTIVE
+            for axis, (right, up, back) in enumerate(rotation):
+                across, along = (right * x).astype(np.float32)[None], (up * y).astype(np.float32)[:, None]
+                if is_perspective:
+                    np.multiply(across + (along - np.float32(back)), depth, out=out[..., axis])
+                    out[..., axis] += np.float32(place[axis])
+                else:
+                    np.multiply(depth, np.float32(-back), out=out[..., axis])
+                    out[..., axis] += across + (along + np.float32(place[axis]))
+        out[~finite] = 0
+        return out
 
     def project(self, position_ws: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Column, row (pixel centres at +0.5) and depth of points (..., 3); behind a perspective view depth is <= 0."""
