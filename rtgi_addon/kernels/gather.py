@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from .brdf import INV_PI, ggx_lobe
-from .bvh import STACK, is_occluded
+from .bvh import STACK, visibility
 from .clusters import (
     ALPHA2,
     C_ALPHA2,
@@ -189,10 +189,11 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, near, 
             continue
         target_point = lifted(load_column(T, 0, k), load_column(T, NORMAL, k), offset_m)
         start_point = begun(origin, sub(target_point, origin), offset_m)
-        if is_occluded(bvh, stack, start_point, sub(target_point, start_point)):
+        arrives = visibility(bvh, stack, start_point, sub(target_point, start_point))
+        if arrives == ZERO:
             continue
         s = total / (w[c] * share * f32(rays))
-        s *= min(ONE, MAX_SHARES * total / f32(rays) / (gives * s))
+        s *= arrives * min(ONE, MAX_SHARES * total / f32(rays) / (gives * s))
         red += s * (diffuse * T[DIFFUSE, k] + glossy * T[GLOSSY, k])
         green += s * (diffuse * T[DIFFUSE + 1, k] + glossy * T[GLOSSY + 1, k])
         blue += s * (diffuse * T[DIFFUSE + 2, k] + glossy * T[GLOSSY + 2, k])
