@@ -57,7 +57,11 @@ def _take_geometry(file: Any) -> Geometry:
     # files from before there were cutouts hold none
     has_cutouts = "geometry.cutouts.row" in file
     return _take(file, "geometry", Geometry,
-                 cutouts=_take(file, "geometry.cutouts", Cutouts) if has_cutouts else None)
+                 cutouts=_take_cutouts(file) if has_cutouts else None)
+
+
+def _take_cutouts(file: Any) -> Cutouts:
+    return _take(file, "geometry.cutouts", Cutouts, most_layers=int(file["geometry.cutouts.most_layers"]))
 
 
 def save_frame(path: str | os.PathLike, frame: Frame) -> None:

@@ -271,7 +271,7 @@ class CutoutBuilder:
                            np.concatenate(self._map_of)[left], self._maps, self._veils)
 
 
-def join_cutouts(counts: Sequence[int], meshes: Sequence[MeshCutouts | None]) -> Cutouts | None:
+def join_cutouts(counts: Sequence[int], meshes: Sequence[MeshCutouts | None], most_layers: int) -> Cutouts | None:
     """The cutouts of meshes of `counts` triangles one after the other; None where every triangle is opaque."""
     if all(mesh is None for mesh in meshes):
         return None
@@ -295,4 +295,5 @@ def join_cutouts(counts: Sequence[int], meshes: Sequence[MeshCutouts | None]) ->
     present = [mesh for mesh in meshes if mesh is not None]
     return Cutouts(row, np.concatenate([mesh.uv for mesh in present]),
                    np.concatenate([mesh.coverage for mesh in present]), np.concatenate(veils),
-                   np.concatenate(places), np.concatenate([texel.ravel() for texel in used]))
+                   np.concatenate(places), np.concatenate([texel.ravel() for texel in used]),
+                   most_layers)

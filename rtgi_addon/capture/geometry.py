@@ -60,7 +60,7 @@ class GeometryCache:
     topologies: dict[tuple, _Topology] = field(default_factory=dict)
     colours: dict[tuple, _Colours] = field(default_factory=dict)
     opacities: dict[tuple, Opacity | None] = field(default_factory=dict)
-    joined: tuple[list[_Colours], tuple] = ([], ())
+    joined: tuple[list[_Colours], int, tuple] = ([], 0, ())
 
 
 def _lattice(splits: int) -> tuple[np.ndarray, np.ndarray]:
@@ -373,9 +373,11 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
         # indices come from Blender and are in range; "clip" only spares the check
         np.take(points, triangles, axis=0, out=corners[start:start + len(triangles)], mode="clip")
         start += len(triangles)
-    last, joined = cache.joined
-    if len(last) != len(colours) or any(a is not b for a, b in zip(last, colours, strict=True)):
+    most_layers = depsgraph.scene.cycles.transparent_max_bounces
+    last, last_layers, joined = cache.joined
+    if len(last) != len(colours) or last_layers != most_layers or any(
+            a is not b for a, b in zip(last, colours, strict=True)):
         joined = (*(np.concatenate([getattr(c, name) for c in colours]) for name in ("albedo", "emission", "material")),
-                  join_cutouts([len(c.material) for c in colours], [c.cutouts for c in colours]))
-        cache.joined = (colours, joined)
+                  join_cutouts([len(c.material) for c in colours], [c.cutouts for c in colours], most_layers))
+        cache.joined = (colours, most_layers, joined)
     return Geometry(corners, *joined)

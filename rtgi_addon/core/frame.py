@@ -158,6 +158,8 @@ class Cutouts:
         it through, or views are told something else than shadow rays are.
     place : (A, 3) int32, first texel, height and width of its map.
     texels : (P,) uint8, opacity in 255ths, rows of all maps one after the other.
+    most_layers : int
+        Behind more of these triangles than this it is dark, whatever they leave: Cycles' limit of transparent bounces.
     """
 
     row: np.ndarray
@@ -166,6 +168,7 @@ class Cutouts:
     is_veil: np.ndarray
     place: np.ndarray
     texels: np.ndarray
+    most_layers: int = 8
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ class Bvh(NamedTuple):
     -(first * 8 + count) - 1; corners (T, 9) float32: corner and two edges, in leaf order; source (T,) int32: index of
     the triangle in the geometry. Of `core.frame.Cutouts`: cutout (T,) int32: row of the triangle in leaf order, -1 for an
     opaque one, without a length where all are; uv (A, 6) float32: corner and two edges in the map; place (A, 3) int32;
-    texels (P,) uint8.
+    texels (P,) uint8; most_layers: more triangles that are not opaque let nothing through.
     """
 
     boxes: np.ndarray
@@ -46,6 +46,7 @@ class Bvh(NamedTuple):
     uv: np.ndarray
     place: np.ndarray
     texels: np.ndarray
+    most_layers: int
 
 
 def build_bvh(corners_ws: np.ndarray, cutouts: Any = None) -> Bvh:
@@ -66,11 +67,12 @@ def with_cutouts(bvh: Bvh, cutouts: Any) -> Bvh:
         return bvh._replace(**dict(zip(Bvh._fields[4:], _opaque(), strict=True)))
     uv = np.ascontiguousarray(cutouts.uv, np.float32)
     edges = np.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], 1)
-    return bvh._replace(cutout=cutouts.row[bvh.source], uv=edges, place=cutouts.place, texels=cutouts.texels)
+    return bvh._replace(cutout=cutouts.row[bvh.source], uv=edges, place=cutouts.place, texels=cutouts.texels,
+                        most_layers=cutouts.most_layers)
 
 
-def _opaque() -> tuple[np.ndarray, ...]:
-    return np.zeros(0, np.int32), np.zeros((0, 6), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.uint8)
+def _opaque() -> tuple:
+    return np.zeros(0, np.int32), np.zeros((0, 6), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.uint8), 0
 
 
 @device_jit
@@ -251,18 +253,19 @@ def opacity(bvh, slot, u, v):
 
 
 @device_jit
-def _through_leaf(bvh, leaf, o, d):
-    """Share of the light that the triangles of a leaf let through."""
-    code, share = -leaf - 1, ONE
+def _through_leaf(bvh, leaf, o, d, share, layers):
+    """(share, layers) behind the triangles of a leaf: of the light, and of triangles that let part of it through."""
+    code = -leaf - 1
     for k in range(code >> 3, (code >> 3) + (code & 7)):
         t, u, v = _meet(bvh.corners, k, o, d)
         if t > ZERO and t < SEGMENT_END:
             if len(bvh.cutout) == 0:
-                return ZERO
+                return ZERO, layers
             share *= ONE - opacity(bvh, k, u, v)
-            if share < LEAST_SHARE:
-                return ZERO
-    return share
+            layers += 1
+            if share < LEAST_SHARE or layers > bvh.most_layers:
+                return ZERO, layers
+    return share, layers
 
 
 @device_jit
@@ -270,18 +273,18 @@ def visibility(bvh, stack, o, d):
     """Share of light that gets along the open segment from o to o + d, in [0, 1]. `stack` is (STACK,) int32 scratch."""
     boxes, kids = bvh.boxes, bvh.kids
     inv = Vec3(_safe_rcp(d.x), _safe_rcp(d.y), _safe_rcp(d.z))
-    depth, node, share = 0, 0, ONE
+    depth, node, share, layers = 0, 0, ONE, 0
     while True:
         hit0, t0 = _enter(boxes, node, 0, o, inv, ONE)
         hit1, t1 = _enter(boxes, node, 1, o, inv, ONE)
         kid0, kid1 = kids[node, 0], kids[node, 1]
         if hit0 and kid0 < 0:
-            share *= _through_leaf(bvh, kid0, o, d)
+            share, layers = _through_leaf(bvh, kid0, o, d, share, layers)
             hit0 = False
         if hit1 and kid1 < 0:
-            share *= _through_leaf(bvh, kid1, o, d)
+            share, layers = _through_leaf(bvh, kid1, o, d, share, layers)
             hit1 = False
-        if share < LEAST_SHARE:
+        if share == ZERO:
             return ZERO
         if hit0 and hit1:
             node, stack[depth] = (kid0, kid1) if t0 <= t1 else (kid1, kid0)
@@ -314,7 +317,8 @@ def _bits(x):
 @device_jit
 def solid(bvh):
     """The tree with every triangle opaque."""
-    return Bvh(bvh.boxes, bvh.kids, bvh.corners, bvh.source, bvh.cutout[:0], bvh.uv, bvh.place, bvh.texels)
+    return Bvh(bvh.boxes, bvh.kids, bvh.corners, bvh.source, bvh.cutout[:0], bvh.uv, bvh.place, bvh.texels,
+               bvh.most_layers)
 
 
 @device_jit

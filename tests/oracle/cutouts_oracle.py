@@ -42,9 +42,7 @@ def meetings(origin: np.ndarray, vector: np.ndarray, corners: np.ndarray) -> lis
 
 
 def visibility(origin: np.ndarray, vector: np.ndarray, corners: np.ndarray, cutouts: Cutouts) -> float:
-    """Share of light along the segment: the product of what each triangle lets through."""
-    share = 1.0
-    for t, k, u, v in meetings(origin, vector, corners):
-        if t < 0.9999:                           # a target lies on a surface itself
-            share *= 1 - opacity(cutouts, k, u, v)
-    return share
+    """Share of light along the segment: the product of what each triangle lets through, nothing behind too many."""
+    shares = [1 - opacity(cutouts, k, u, v) for t, k, u, v in meetings(origin, vector, corners)
+              if t < 0.9999]                     # a target lies on a surface itself
+    return float(np.prod(shares)) if len(shares) <= cutouts.most_layers else 0.0

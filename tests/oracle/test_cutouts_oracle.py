@@ -91,6 +91,12 @@ def test_a_map_of_255_blocks_and_one_of_0_is_not_there():
     assert bvh.source[hit(bvh, (0, 0, -1), (0, 0, 1))[1]] == 1
 
 
+@pytest.mark.parametrize(("layers", "share"), [(8, 1), (9, 0)])
+def test_behind_more_layers_than_the_limit_it_is_dark(layers, share):
+    bvh = build_bvh(*panes(*[0] * layers))
+    assert seen(bvh, (0, 0, -1), (0, 0, 5)) == seen(bvh, (0, 0, 4), (0, 0, -5)) == share
+
+
 def test_without_cutouts_every_triangle_blocks(rng):
     corners = soup(rng, 40)
     plain, none = build_bvh(corners), with_cutouts(build_bvh(corners, some_cutouts(rng, 40)), None)

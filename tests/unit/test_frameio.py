@@ -44,7 +44,7 @@ def test_cutouts_come_back(frame, tmp_path, rng):
     row = np.full(len(frame.geometry), -1, np.int32)
     row[[3, 5]] = [1, 0]
     cutouts = Cutouts(row, rng.uniform(size=(2, 3, 2)).astype(np.float32), np.float32([0.5, 1]), np.array([True, False]),
-                      np.array([[0, 2, 3], [6, 1, 1]], np.int32), np.arange(7, dtype=np.uint8))
+                      np.array([[0, 2, 3], [6, 1, 1]], np.int32), np.arange(7, dtype=np.uint8), 3)
     frame = dataclasses.replace(frame, geometry=dataclasses.replace(frame.geometry, cutouts=cutouts))
     frameio.save_frame(tmp_path / "frame.npz", frame)
     assert_same(frame, frameio.load_frame(tmp_path / "frame.npz"))
