@@ -120,10 +120,11 @@ def cast_view(light_index: int, light: Light, camera: Camera, frame: Frame, bvh:
         face /= np.maximum(np.linalg.norm(face, axis=1, keepdims=True), 1e-30)
         normal[hit] = np.where((face * direction[hit]).sum(1, keepdims=True) > 0, -face, face)
         weight = np.stack([1 - u[hit] - v[hit], u[hit], v[hit]], 1)
-        albedo[hit] = (geometry.albedo[of] * weight[..., None]).sum(1)
+        # colours count what is not there of a surface as black, and a hit is on what is there
+        albedo[hit] = np.minimum((geometry.albedo[of] * weight[..., None]).sum(1) / geometry.coverage(of)[:, None], 1)
         materials = frame.materials or (Material("none"),)
         index = np.clip(geometry.material[of], 0, len(materials) - 1)
-        specular[hit] = np.array([m.specular for m in materials], np.float32)[index]
+        specular[hit] = np.array([np.divide(m.specular, max(m.alpha, 1e-3)) for m in materials], np.float32)[index]
         roughness[hit] = np.array([m.roughness for m in materials], np.float32)[index]
     gbuffer = GBuffer(depth.reshape(shape), position.reshape(*shape, 3), normal.reshape(*shape, 3),
                       albedo.reshape(*shape, 3), specular.reshape(*shape, 3), roughness.reshape(shape),

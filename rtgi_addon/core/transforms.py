@@ -122,6 +122,40 @@ class Camera:
         step_x, step_y = self.pixel_size
         return (x - self.left) / step_x, (self.top - y) / step_y, depth
 
+    def boxes_around(self, corners_ws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Boxes of pixels that hold all that this view sees of the convex hulls of corners (n, k, 3).
+
+        Returns (n, 4) lowest and highest column, lowest and highest row (as `project`; beyond the image too, and beyond a
+        full turn's edge instead of across it) and (n,) a depth m that no point of the hull falls below. A hull that
+        lies behind a perspective view has a box of negative size; one that surrounds the view has the whole image.
+        """
+        view = self.view_from_world
+        p = corners_ws.astype(np.float64) @ view[:3, :3].T + view[:3, 3]
+        whole = np.array([0.0, self.width_px, 0.0, self.height_px])
+        step_x, step_y = self.pixel_size
+        if self.projection is Projection.EQUIRECTANGULAR:
+            # the cone of directions around a hull, and the parallels and meridians that touch it
+            centre = p.mean(1)
+            distance, size = np.linalg.norm(centre, axis=-1), np.linalg.norm(p - centre[:, None], axis=-1).max(1)
+            nearest = np.maximum(distance - size, 0)
+            half = np.arcsin(np.minimum(size / np.maximum(distance, 1e-30), 1))
+            longitude, latitude = np.arctan2(centre[:, 0], -centre[:, 2]), np.arcsin(
+                np.clip(centre[:, 1] / np.maximum(distance, 1e-30), -1, 1))
+            sine = np.sin(half) / np.maximum(np.cos(latitude), 1e-30)
+            width = np.where(sine < 1, np.arcsin(np.minimum(sine, 1)), np.pi)
+            x, y = np.stack([longitude - width, longitude + width], 1), np.stack([latitude + half, latitude - half], 1)
+            out = np.concatenate([(x - self.left) / step_x, (self.top - y) / step_y], 1)
+            return np.where((nearest > 0)[:, None], out, whole), nearest
+        column, row, depth = self.project(corners_ws)
+        with np.errstate(invalid="ignore"):
+            out = np.stack([column.min(1), column.max(1), row.min(1), row.max(1)], 1)
+        nearest = depth.min(1)
+        if self.projection is Projection.PERSPECTIVE:
+            out = np.where((depth > 0).all(1)[:, None], out, whole)
+            out = np.where((depth > 0).any(1)[:, None], out, [0.0, -1.0, 0.0, -1.0])
+            nearest = np.maximum(nearest, 0)
+        return out, nearest
+
 
 @dataclass(frozen=True)
 class ViewFormat:

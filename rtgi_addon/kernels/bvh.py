@@ -1,20 +1,25 @@
-"""A bounding volume hierarchy over triangles: any-hit segments and closest hits.
+"""A bounding volume hierarchy over triangles: visibility of segments and closest hits.
 
 Where Blender's Embree is at hand (`embree`), it holds the triangles: 1.5 to 3 times as many rays a second. Elsewhere a tree
 of our own does: binned SAH build, two children a node, both boxes in the parent (Aila and Laine 2009), so that a ray visits
 a node only after it has met its box. 262,000 triangles build in 0.1 to 0.2 s on one core. Triangles are two-sided (Moeller
 and Trumbore 1997).
+
+Where a triangle that is no opaque one is met, its opacity a is looked up (`core.frame.Cutouts`). A segment goes on with the
+share 1 - a of its light, as in Cycles, which is exact, has no noise and does not depend on the order of the hits. A closest
+hit must be one point: there the triangle counts with the chance a, by a hash of the place, the same for every ray.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .embree import build_scene, intersect, occluded
 from .jit import device_jit
+from .sampling import uniform
 from .vec3 import ONE, ZERO, Vec3, cross, dot, f32, sub
 
 BINS = 12
@@ -22,6 +27,8 @@ LEAF_TRIANGLES = 4          # a leaf may hold up to 7 where no split pays
 STACK = 96                  # depth of the traversal stack: a SAH tree over 2^24 triangles stays below 64
 BIG = f32(1e30)
 SEGMENT_END = f32(0.9999)   # a segment ends a hair before its target, which lies on a surface itself
+LEAST_SHARE = f32(1 / 512)  # what gets through is taken as nothing below this, half of what a byte of opacity resolves
+PLACES = f32(1 << 20)       # barycentric steps that the hash of a place tells apart
 
 
 class Bvh(NamedTuple):
@@ -31,6 +38,11 @@ class Bvh(NamedTuple):
     -(first * 8 + count) - 1; corners (T, 9) float32: corner and two edges, in leaf order; source (T,) int32: index of
     the triangle in the geometry; rays (3,) uint64: addresses of Embree's scene and functions, zeros for a tree of our own.
     With Embree there is one node, with the bounds of all triangles, and no leaf.
+
+    Of `core.frame.Cutouts`: cutout (T,) int32: row of the triangle in leaf order, -1 for an opaque one, without a length where
+    all are; uv (A, 6) float32: corner and two edges in the map; place (A, 3) int32; texels (P,) uint8; most_layers: more
+    triangles that are not opaque let nothing through. With Embree and cutouts: opaque and sieve (3,) uint64, scenes of the
+    triangles that are opaque and of those that are not, and sieve_slot (A,) int32, the slots of the latter.
     """
 
     boxes: np.ndarray
@@ -38,23 +50,33 @@ class Bvh(NamedTuple):
     corners: np.ndarray
     source: np.ndarray
     rays: np.ndarray
+    cutout: np.ndarray
+    uv: np.ndarray
+    place: np.ndarray
+    texels: np.ndarray
+    most_layers: int
+    opaque: np.ndarray
+    sieve: np.ndarray
+    sieve_slot: np.ndarray
 
 
-def build_bvh(corners_ws: np.ndarray, use_embree: bool = True) -> Bvh:
+def build_bvh(corners_ws: np.ndarray, cutouts: Any = None, use_embree: bool = True) -> Bvh:
     """BVH over (T, 3, 3) float32 triangles; those with a coordinate that is not finite are left out.
 
-    `use_embree` False grows our own tree also where Embree is there.
+    `cutouts` is the `core.frame.Cutouts` of the same triangles, None where all are opaque. `use_embree` False grows our own
+    tree also where Embree is there.
     """
     finite = np.isfinite(corners_ws).all((1, 2))
     kept = np.flatnonzero(finite).astype(np.int32)
     triangles = np.ascontiguousarray(corners_ws[kept], np.float32)
     if use_embree:
         packed = np.concatenate([triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]], 1)
-        rays = build_scene(triangles, packed)
+        rays = build_scene(triangles)
         if rays.any():
-            return Bvh(_whole_box(triangles), np.full((1, 2), -1, np.int32), packed, kept, rays)
+            return with_cutouts(
+                Bvh(_whole_box(triangles), np.full((1, 2), -1, np.int32), packed, kept, rays, *_opaque()), cutouts)
     boxes, kids, packed, order = _build(triangles)
-    return Bvh(boxes, kids, packed, kept[order].astype(np.int32), np.zeros(3, np.uint64))
+    return with_cutouts(Bvh(boxes, kids, packed, kept[order].astype(np.int32), np.zeros(3, np.uint64), *_opaque()), cutouts)
 
 
 def _whole_box(triangles: np.ndarray) -> np.ndarray:
@@ -62,6 +84,28 @@ def _whole_box(triangles: np.ndarray) -> np.ndarray:
     flat = triangles.reshape(-1, 3)
     whole = np.concatenate([flat.min(0, initial=BIG), flat.max(0, initial=-BIG)])
     return np.tile(whole.astype(np.float32), (1, 2, 1))
+
+
+def with_cutouts(bvh: Bvh, cutouts: Any) -> Bvh:
+    """The same tree with the opacities of a `core.frame.Cutouts`; None makes all triangles opaque."""
+    if cutouts is None:
+        return bvh._replace(**dict(zip(Bvh._fields[5:], _opaque(), strict=True)))
+    uv = np.ascontiguousarray(cutouts.uv, np.float32)
+    edges = np.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], 1)
+    bvh = bvh._replace(cutout=cutouts.row[bvh.source], uv=edges, place=cutouts.place, texels=cutouts.texels,
+                       most_layers=cutouts.most_layers)
+    if not bvh.rays.any():
+        return bvh
+    corner, edge1, edge2 = np.split(bvh.corners, 3, axis=1)
+    triangles, is_sieve = np.stack([corner, corner + edge1, corner + edge2], 1), bvh.cutout >= 0
+    return bvh._replace(opaque=build_scene(triangles[~is_sieve]), sieve=build_scene(triangles[is_sieve]),
+                        sieve_slot=np.flatnonzero(is_sieve).astype(np.int32))
+
+
+def _opaque() -> tuple:
+    """The fields of cutouts where there are none."""
+    return (np.zeros(0, np.int32), np.zeros((0, 6), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.uint8), 0,
+            np.zeros(3, np.uint64), np.zeros(3, np.uint64), np.zeros(0, np.int32))
 
 
 @device_jit
@@ -219,35 +263,88 @@ def _meet(c, k, o, d):
 
 
 @device_jit
-def _leaf_blocks(corners, leaf, o, d):
-    code = -leaf - 1
-    for k in range(code >> 3, (code >> 3) + (code & 7)):
-        t, _, _ = _meet(corners, k, o, d)
-        if t > ZERO and t < SEGMENT_END:
-            return True
-    return False
+def _texel(bvh, row, i, j):
+    """Opacity of texel (i, j) of the map of `row`, in 255ths; the map repeats."""
+    height, width = bvh.place[row, 1], bvh.place[row, 2]
+    return f32(bvh.texels[bvh.place[row, 0] + i % height * width + j % width])
 
 
 @device_jit
-def is_occluded(bvh, stack, o, d):
-    """Does any triangle meet the open segment from o to o + d? `stack` is (STACK,) int32 scratch."""
+def opacity(bvh, slot, u, v):
+    """Share of the surface that is there at barycentric (u, v) of the triangle in `slot`, in [0, 1]."""
+    row = bvh.cutout[slot]
+    if row < 0:
+        return ONE
+    uv = bvh.uv
+    x = (uv[row, 0] + u * uv[row, 2] + v * uv[row, 4]) * f32(bvh.place[row, 2]) - f32(0.5)
+    y = (uv[row, 1] + u * uv[row, 3] + v * uv[row, 5]) * f32(bvh.place[row, 1]) - f32(0.5)
+    j, i = int(math.floor(x)), int(math.floor(y))
+    x, y = x - f32(j), y - f32(i)
+    low = (ONE - x) * _texel(bvh, row, i, j) + x * _texel(bvh, row, i, j + 1)
+    high = (ONE - x) * _texel(bvh, row, i + 1, j) + x * _texel(bvh, row, i + 1, j + 1)
+    return ((ONE - y) * low + y * high) / f32(255)
+
+
+@device_jit
+def _through_leaf(bvh, leaf, o, d, share, layers):
+    """(share, layers) behind the triangles of a leaf: of the light, and of triangles that let part of it through."""
+    code = -leaf - 1
+    for k in range(code >> 3, (code >> 3) + (code & 7)):
+        t, u, v = _meet(bvh.corners, k, o, d)
+        if t > ZERO and t < SEGMENT_END:
+            if len(bvh.cutout) == 0:
+                return ZERO, layers
+            share *= ONE - opacity(bvh, k, u, v)
+            layers += 1
+            if share < LEAST_SHARE or layers > bvh.most_layers:
+                return ZERO, layers
+    return share, layers
+
+
+@device_jit
+def _behind(t):
+    """A hair behind t, so that the next hit is another triangle."""
+    return t * f32(1.000001) + f32(1e-7)
+
+
+@device_jit
+def _visibility_by_embree(bvh, o, d):
+    if len(bvh.cutout) == 0:
+        return ZERO if occluded(bvh.rays, o.x, o.y, o.z, d.x, d.y, d.z, SEGMENT_END) else ONE
+    if occluded(bvh.opaque, o.x, o.y, o.z, d.x, d.y, d.z, SEGMENT_END):
+        return ZERO
+    share, layers, near = ONE, 0, ZERO
+    while True:
+        t, k, u, v = intersect(bvh.sieve, o.x, o.y, o.z, d.x, d.y, d.z, near, SEGMENT_END)
+        if k < 0:
+            return share
+        share *= ONE - opacity(bvh, bvh.sieve_slot[k], u, v)
+        layers += 1
+        if share < LEAST_SHARE or layers > bvh.most_layers:
+            return ZERO
+        near = _behind(t)
+
+
+@device_jit
+def visibility(bvh, stack, o, d):
+    """Share of light that gets along the open segment from o to o + d, in [0, 1]. `stack` is (STACK,) int32 scratch."""
     if bvh.rays[0] != 0:
-        return occluded(bvh.rays, o.x, o.y, o.z, d.x, d.y, d.z, SEGMENT_END)
-    boxes, kids, corners = bvh.boxes, bvh.kids, bvh.corners
+        return _visibility_by_embree(bvh, o, d)
+    boxes, kids = bvh.boxes, bvh.kids
     inv = Vec3(_safe_rcp(d.x), _safe_rcp(d.y), _safe_rcp(d.z))
-    depth, node = 0, 0
+    depth, node, share, layers = 0, 0, ONE, 0
     while True:
         hit0, t0 = _enter(boxes, node, 0, o, inv, ONE)
         hit1, t1 = _enter(boxes, node, 1, o, inv, ONE)
         kid0, kid1 = kids[node, 0], kids[node, 1]
         if hit0 and kid0 < 0:
-            if _leaf_blocks(corners, kid0, o, d):
-                return True
+            share, layers = _through_leaf(bvh, kid0, o, d, share, layers)
             hit0 = False
         if hit1 and kid1 < 0:
-            if _leaf_blocks(corners, kid1, o, d):
-                return True
+            share, layers = _through_leaf(bvh, kid1, o, d, share, layers)
             hit1 = False
+        if share == ZERO:
+            return ZERO
         if hit0 and hit1:
             node, stack[depth] = (kid0, kid1) if t0 <= t1 else (kid1, kid0)
             depth += 1
@@ -256,18 +353,47 @@ def is_occluded(bvh, stack, o, d):
         elif hit1:
             node = kid1
         elif depth == 0:
-            return False
+            return share
         else:
             depth -= 1
             node = stack[depth]
 
 
 @device_jit
-def _leaf_closest(corners, leaf, o, d, best, found, bu, bv):
+def is_occluded(bvh, stack, o, d):
+    """Does a triangle meet the open segment from o to o + d? Where some light gets through, no with that share's chance."""
+    share = visibility(bvh, stack, o, d)
+    if share == ZERO:
+        return True
+    return share < ONE and uniform(_bits(o.x) ^ _bits(d.x), _bits(o.y) ^ _bits(d.y), _bits(o.z) ^ _bits(d.z)) >= share
+
+
+@device_jit
+def _bits(x):
+    return f32(x).view(np.uint32)
+
+
+@device_jit
+def solid(bvh):
+    """The tree with every triangle opaque."""
+    return Bvh(bvh.boxes, bvh.kids, bvh.corners, bvh.source, bvh.rays, bvh.cutout[:0], bvh.uv, bvh.place, bvh.texels,
+               bvh.most_layers, bvh.opaque, bvh.sieve, bvh.sieve_slot)
+
+
+@device_jit
+def _is_there(bvh, k, u, v):
+    """Whether triangle k counts at (u, v): with the chance of its opacity, by a hash of the place."""
+    if len(bvh.cutout) == 0 or bvh.cutout[k] < 0:
+        return True
+    return uniform(bvh.source[k], int(u * PLACES), int(v * PLACES)) < opacity(bvh, k, u, v)
+
+
+@device_jit
+def _leaf_closest(bvh, leaf, o, d, best, found, bu, bv):
     code = -leaf - 1
     for k in range(code >> 3, (code >> 3) + (code & 7)):
-        t, u, v = _meet(corners, k, o, d)
-        if t > ZERO and t < best:
+        t, u, v = _meet(bvh.corners, k, o, d)
+        if t > ZERO and t < best and _is_there(bvh, k, u, v):
             best, found, bu, bv = t, k, u, v
     return best, found, bu, bv
 
@@ -280,8 +406,13 @@ def closest_hit(bvh, stack, o, d, reach):
     best hit fails its box tests at once, because both children are tested against the shortened reach.
     """
     if bvh.rays[0] != 0:
-        return intersect(bvh.rays, o.x, o.y, o.z, d.x, d.y, d.z, reach)
-    boxes, kids, corners = bvh.boxes, bvh.kids, bvh.corners
+        near = ZERO
+        while True:
+            t, k, u, v = intersect(bvh.rays, o.x, o.y, o.z, d.x, d.y, d.z, near, reach)
+            if k < 0 or _is_there(bvh, k, u, v):
+                return t, k, u, v
+            near = _behind(t)
+    boxes, kids = bvh.boxes, bvh.kids
     inv = Vec3(_safe_rcp(d.x), _safe_rcp(d.y), _safe_rcp(d.z))
     depth, node = 0, 0
     best, found, bu, bv = reach, -1, ZERO, ZERO
@@ -290,10 +421,10 @@ def closest_hit(bvh, stack, o, d, reach):
         hit1, t1 = _enter(boxes, node, 1, o, inv, best)
         kid0, kid1 = kids[node, 0], kids[node, 1]
         if hit0 and kid0 < 0:
-            best, found, bu, bv = _leaf_closest(corners, kid0, o, d, best, found, bu, bv)
+            best, found, bu, bv = _leaf_closest(bvh, kid0, o, d, best, found, bu, bv)
             hit0 = False
         if hit1 and kid1 < 0:
-            best, found, bu, bv = _leaf_closest(corners, kid1, o, d, best, found, bu, bv)
+            best, found, bu, bv = _leaf_closest(bvh, kid1, o, d, best, found, bu, bv)
             hit1 = False
         if hit0 and hit1:
             node, stack[depth] = (kid0, kid1) if t0 <= t1 else (kid1, kid0)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from .brdf import INV_PI, ggx_lobe
-from .bvh import STACK, is_occluded
+from .bvh import STACK, visibility
 from .clusters import (
     ALPHA2,
     C_ALPHA2,
@@ -204,10 +204,11 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
             continue
         target_point = lifted(load(R, k), Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2]), offset_m)
         start_point = begun(origin, sub(target_point, origin), offset_m)
-        if is_occluded(bvh, stack, start_point, sub(target_point, start_point)):
+        arrives = visibility(bvh, stack, start_point, sub(target_point, start_point))
+        if arrives == ZERO:
             continue
         s = total / (w[c] * share * f32(rays))
-        s *= min(ONE, MAX_SHARES * total / f32(rays) / (gives * s))
+        s *= arrives * min(ONE, MAX_SHARES * total / f32(rays) / (gives * s))
         red += s * (diffuse * R[k, DIFFUSE] + glossy * R[k, GLOSSY])
         green += s * (diffuse * R[k, DIFFUSE + 1] + glossy * R[k, GLOSSY + 1])
         blue += s * (diffuse * R[k, DIFFUSE + 2] + glossy * R[k, GLOSSY + 2])
