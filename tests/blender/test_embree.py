@@ -72,7 +72,8 @@ def test_both_let_the_same_light_through_cutouts(bpy_session, rng):
     shares = [_shares(build_bvh(corners, cutouts, use_embree), origin, direction) for use_embree in (True, False)]
     # a ray in a thousand may pass so near to an edge that the two tests of a triangle round differently
     assert (np.abs(shares[0] - shares[1]) > 1e-3).sum() <= 2
-    assert (0.01 < shares[0]).mean() > 0.1 and ((0.01 < shares[0]) & (shares[0] < 0.99)).mean() > 0.1
+    for kind in (shares[0] == 0, shares[0] == 1, (shares[0] > 0) & (shares[0] < 1)):
+        assert kind.sum() > 50                   # rays of every fate
 
 
 def test_no_triangles_meet_no_ray(bpy_session):
