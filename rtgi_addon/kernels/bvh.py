@@ -39,10 +39,10 @@ class Bvh(NamedTuple):
     the triangle in the geometry; rays (3,) uint64: addresses of Embree's scene and functions, zeros for a tree of our own.
     With Embree there is one node, with the bounds of all triangles, and no leaf.
 
-    Of `core.frame.Cutouts`: cutout (T,) int32: row of the triangle in leaf order, -1 for an opaque one, of length 0 where all
-    are; uv (A, 6) float32: corner and two edges in the map; place (A, 3) int32; texels (P,) uint8; most_layers: more triangles
-    that are not opaque let nothing through. With Embree and cutouts: opaque and sieve (3,) uint64, scenes of the triangles
-    that are opaque and of those that are not, and sieve_slot (A,) int32, the slots of the latter.
+    Of `core.frame.Cutouts`: cutout (T,) int32: row of the triangle in leaf order, -1 for an opaque one, of length 0 where
+    all are; uv (A, 6) float32: corner and two edges in the map; place (A, 3) int32; texels (P,) uint8; most_layers: more
+    triangles that are not opaque let nothing through. With Embree and cutouts: opaque and sieve (3,) uint64, scenes of the
+    triangles that are opaque and of those that are not, and sieve_slot (A,) int32, the slots of the latter.
     """
 
     boxes: np.ndarray
