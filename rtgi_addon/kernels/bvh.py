@@ -13,6 +13,7 @@ hit must be one point: there the triangle counts with the chance a, by a hash of
 from __future__ import annotations
 
 import math
+import weakref
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,13 +37,15 @@ class Bvh(NamedTuple):
 
     boxes (n, 2, 6) float32: lowest and highest corner of each child; kids (n, 2) int32: a node, or a leaf coded as
     -(first * 8 + count) - 1; corners (T, 9) float32: corner and two edges, in leaf order; source (T,) int32: index of
-    the triangle in the geometry; rays (3,) uint64: addresses of Embree's scene and functions, zeros for a tree of our own.
-    With Embree there is one node, with the bounds of all triangles, and no leaf.
+    the triangle in the geometry; rays (3 or 9,) uint64: addresses of Embree's scene and functions, zeros for a tree of our
+    own; with cutouts those of the scenes of opaque triangles and of the others follow. With Embree there is one node, with
+    the bounds of all triangles, and no leaf.
 
-    Of `core.frame.Cutouts`: cutout (T,) int32: row of the triangle in leaf order, -1 for an opaque one, of length 0 where
-    all are; uv (A, 6) float32: corner and two edges in the map; place (A, 3) int32; texels (P,) uint8; most_layers: more
-    triangles that are not opaque let nothing through. With Embree and cutouts: opaque and sieve (3,) uint64, scenes of the
-    triangles that are opaque and of those that are not, and sieve_slot (A,) int32, the slots of the latter.
+    veil (V,) int32: `core.frame.Cutouts` in one array, without a length where every triangle is opaque. One, because each
+    array more in this tuple costs every ray 3 to 10 %. veil[0]: most_layers; veil[1 + slot]: where in `veil` the record of
+    the triangle in this slot begins, 0 for an opaque one; then the slots of those with a record. A record: where the texels
+    of its map begin, its height, its width, and as bits of float32 the map's coordinates of the corner and of the two edges
+    (6). Texels: rows of bytes, four in a number, the lowest first.
     """
 
     boxes: np.ndarray
@@ -50,14 +53,10 @@ class Bvh(NamedTuple):
     corners: np.ndarray
     source: np.ndarray
     rays: np.ndarray
-    cutout: np.ndarray
-    uv: np.ndarray
-    place: np.ndarray
-    texels: np.ndarray
-    most_layers: int
-    opaque: np.ndarray
-    sieve: np.ndarray
-    sieve_slot: np.ndarray
+    veil: np.ndarray
+
+
+RECORD = 9
 
 
 def build_bvh(corners_ws: np.ndarray, cutouts: Any = None, use_embree: bool = True) -> Bvh:
@@ -74,9 +73,11 @@ def build_bvh(corners_ws: np.ndarray, cutouts: Any = None, use_embree: bool = Tr
         rays = build_scene(triangles)
         if rays.any():
             return with_cutouts(
-                Bvh(_whole_box(triangles), np.full((1, 2), -1, np.int32), packed, kept, rays, *_opaque()), cutouts)
+                Bvh(_whole_box(triangles), np.full((1, 2), -1, np.int32), packed, kept, rays, np.zeros(0, np.int32)),
+                cutouts)
     boxes, kids, packed, order = _build(triangles)
-    return with_cutouts(Bvh(boxes, kids, packed, kept[order].astype(np.int32), np.zeros(3, np.uint64), *_opaque()), cutouts)
+    return with_cutouts(Bvh(boxes, kids, packed, kept[order].astype(np.int32), np.zeros(3, np.uint64),
+                            np.zeros(0, np.int32)), cutouts)
 
 
 def _whole_box(triangles: np.ndarray) -> np.ndarray:
@@ -87,25 +88,42 @@ def _whole_box(triangles: np.ndarray) -> np.ndarray:
 
 
 def with_cutouts(bvh: Bvh, cutouts: Any) -> Bvh:
-    """The same tree with the opacities of a `core.frame.Cutouts`; None makes all triangles opaque."""
+    """A tree of opaque triangles with the opacities of a `core.frame.Cutouts`; the same for None."""
     if cutouts is None:
-        return bvh._replace(**dict(zip(Bvh._fields[5:], _opaque(), strict=True)))
-    uv = np.ascontiguousarray(cutouts.uv, np.float32)
-    edges = np.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], 1)
-    bvh = bvh._replace(cutout=cutouts.row[bvh.source], uv=edges, place=cutouts.place, texels=cutouts.texels,
-                       most_layers=cutouts.most_layers)
+        return bvh
+    bvh = bvh._replace(veil=_veil_of(bvh.source, cutouts))
     if not bvh.rays.any():
         return bvh
     corner, edge1, edge2 = np.split(bvh.corners, 3, axis=1)
-    triangles, is_sieve = np.stack([corner, corner + edge1, corner + edge2], 1), bvh.cutout >= 0
-    return bvh._replace(opaque=build_scene(triangles[~is_sieve]), sieve=build_scene(triangles[is_sieve]),
-                        sieve_slot=np.flatnonzero(is_sieve).astype(np.int32))
+    triangles, is_sieve = np.stack([corner, corner + edge1, corner + edge2], 1), bvh.veil[1:1 + len(bvh.source)] > 0
+    scenes = [bvh.rays[:3], build_scene(triangles[~is_sieve]), build_scene(triangles[is_sieve])]
+    rays = np.concatenate(scenes)
+    weakref.finalize(rays, scenes.clear).atexit = False      # a scene is freed with its own array: keep those as long
+    return bvh._replace(rays=rays)
 
 
-def _opaque() -> tuple:
-    """The fields of cutouts where there are none."""
-    return (np.zeros(0, np.int32), np.zeros((0, 6), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.uint8), 0,
-            np.zeros(3, np.uint64), np.zeros(3, np.uint64), np.zeros(0, np.int32))
+def _veil_of(source: np.ndarray, cutouts: Any) -> np.ndarray:
+    """`Bvh.veil` of cutouts for a tree whose slots hold the triangles `source`."""
+    maps, which = np.unique(cutouts.place, axis=0, return_inverse=True)
+    numbers = -(-maps[:, 1] * maps[:, 2] // 4)               # that hold each map's bytes
+    row = cutouts.row[source]
+    slots = np.flatnonzero(row >= 0)
+    first_record = 1 + len(source) + len(slots)
+    end = first_record + RECORD * len(cutouts.uv)
+    first_texel = end + np.cumsum(numbers) - numbers
+    veil = np.zeros(end + int(numbers.sum()), np.int32)
+    veil[0] = cutouts.most_layers
+    veil[1:1 + len(source)] = np.where(row >= 0, first_record + RECORD * row, 0)
+    veil[1 + len(source):first_record] = slots
+    records = veil[first_record:end].reshape(-1, RECORD)
+    records[:, 0], records[:, 1:3] = first_texel[which.ravel()], cutouts.place[:, 1:]
+    uv = np.asarray(cutouts.uv, np.float32)
+    records[:, 3:] = np.concatenate([uv[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], 1).view(np.int32)
+    for (start, height, width), begin, number in zip(maps, first_texel, numbers, strict=True):
+        texels = np.zeros(4 * number, np.uint8)
+        texels[:height * width] = cutouts.texels[start:start + height * width]
+        veil[begin:begin + number] = texels.view("<i4")
+    return veil
 
 
 @device_jit
@@ -263,40 +281,46 @@ def _meet(c, k, o, d):
 
 
 @device_jit
-def _texel(bvh, row, i, j):
-    """Opacity of texel (i, j) of the map of `row`, in 255ths; the map repeats."""
-    height, width = bvh.place[row, 1], bvh.place[row, 2]
-    return f32(bvh.texels[bvh.place[row, 0] + i % height * width + j % width])
+def _float(bits):
+    return np.int32(bits).view(np.float32)
 
 
 @device_jit
-def opacity(bvh, slot, u, v):
-    """Share of the surface that is there at barycentric (u, v) of the triangle in `slot`, in [0, 1]."""
-    row = bvh.cutout[slot]
-    if row < 0:
+def _texel(veil, record, i, j):
+    """Opacity of texel (i, j) of the map of a record, in 255ths; the map repeats."""
+    height, width = veil[record + 1], veil[record + 2]
+    k = i % height * width + j % width
+    return f32((veil[veil[record] + (k >> 2)] >> ((k & 3) << 3)) & 255)
+
+
+@device_jit
+def opacity(veil, slot, u, v):
+    """Share of the surface that is there at barycentric (u, v) of the triangle in `slot`, in [0, 1]; veil: `Bvh.veil`."""
+    record = veil[1 + slot] if len(veil) > 0 else 0
+    if record == 0:
         return ONE
-    uv = bvh.uv
-    x = (uv[row, 0] + u * uv[row, 2] + v * uv[row, 4]) * f32(bvh.place[row, 2]) - f32(0.5)
-    y = (uv[row, 1] + u * uv[row, 3] + v * uv[row, 5]) * f32(bvh.place[row, 1]) - f32(0.5)
+    height, width = f32(veil[record + 1]), f32(veil[record + 2])
+    x = (_float(veil[record + 3]) + u * _float(veil[record + 5]) + v * _float(veil[record + 7])) * width - f32(0.5)
+    y = (_float(veil[record + 4]) + u * _float(veil[record + 6]) + v * _float(veil[record + 8])) * height - f32(0.5)
     j, i = int(math.floor(x)), int(math.floor(y))
     x, y = x - f32(j), y - f32(i)
-    low = (ONE - x) * _texel(bvh, row, i, j) + x * _texel(bvh, row, i, j + 1)
-    high = (ONE - x) * _texel(bvh, row, i + 1, j) + x * _texel(bvh, row, i + 1, j + 1)
+    low = (ONE - x) * _texel(veil, record, i, j) + x * _texel(veil, record, i, j + 1)
+    high = (ONE - x) * _texel(veil, record, i + 1, j) + x * _texel(veil, record, i + 1, j + 1)
     return ((ONE - y) * low + y * high) / f32(255)
 
 
 @device_jit
-def _through_leaf(bvh, leaf, o, d, share, layers):
+def _through_leaf(corners, veil, leaf, o, d, share, layers):
     """(share, layers) behind the triangles of a leaf: of the light, and of triangles that let part of it through."""
     code = -leaf - 1
     for k in range(code >> 3, (code >> 3) + (code & 7)):
-        t, u, v = _meet(bvh.corners, k, o, d)
+        t, u, v = _meet(corners, k, o, d)
         if t > ZERO and t < SEGMENT_END:
-            if len(bvh.cutout) == 0:
+            if len(veil) == 0:
                 return ZERO, layers
-            share *= ONE - opacity(bvh, k, u, v)
+            share *= ONE - opacity(veil, k, u, v)
             layers += 1
-            if share < LEAST_SHARE or layers > bvh.most_layers:
+            if share < LEAST_SHARE or layers > veil[0]:
                 return ZERO, layers
     return share, layers
 
@@ -308,19 +332,20 @@ def _behind(t):
 
 
 @device_jit
-def _visibility_by_embree(bvh, o, d):
-    if len(bvh.cutout) == 0:
-        return ZERO if occluded(bvh.rays, o.x, o.y, o.z, d.x, d.y, d.z, SEGMENT_END) else ONE
-    if occluded(bvh.opaque, o.x, o.y, o.z, d.x, d.y, d.z, SEGMENT_END):
+def _visibility_by_embree(rays, veil, slots, o, d):
+    """`visibility` through Embree; `slots` is the number of triangles."""
+    if len(veil) == 0:
+        return ZERO if occluded(rays, o.x, o.y, o.z, d.x, d.y, d.z, SEGMENT_END) else ONE
+    if occluded(rays[3:6], o.x, o.y, o.z, d.x, d.y, d.z, SEGMENT_END):
         return ZERO
-    share, layers, near = ONE, 0, ZERO
+    sieve, share, layers, near = rays[6:9], ONE, 0, ZERO
     while True:
-        t, k, u, v = intersect(bvh.sieve, o.x, o.y, o.z, d.x, d.y, d.z, near, SEGMENT_END)
+        t, k, u, v = intersect(sieve, o.x, o.y, o.z, d.x, d.y, d.z, near, SEGMENT_END)
         if k < 0:
             return share
-        share *= ONE - opacity(bvh, bvh.sieve_slot[k], u, v)
+        share *= ONE - opacity(veil, veil[1 + slots + k], u, v)
         layers += 1
-        if share < LEAST_SHARE or layers > bvh.most_layers:
+        if share < LEAST_SHARE or layers > veil[0]:
             return ZERO
         near = _behind(t)
 
@@ -328,9 +353,9 @@ def _visibility_by_embree(bvh, o, d):
 @device_jit
 def visibility(bvh, stack, o, d):
     """Share of light that gets along the open segment from o to o + d, in [0, 1]. `stack` is (STACK,) int32 scratch."""
+    boxes, kids, corners, veil = bvh.boxes, bvh.kids, bvh.corners, bvh.veil
     if bvh.rays[0] != 0:
-        return _visibility_by_embree(bvh, o, d)
-    boxes, kids = bvh.boxes, bvh.kids
+        return _visibility_by_embree(bvh.rays, veil, len(corners), o, d)
     inv = Vec3(_safe_rcp(d.x), _safe_rcp(d.y), _safe_rcp(d.z))
     depth, node, share, layers = 0, 0, ONE, 0
     while True:
@@ -338,13 +363,15 @@ def visibility(bvh, stack, o, d):
         hit1, t1 = _enter(boxes, node, 1, o, inv, ONE)
         kid0, kid1 = kids[node, 0], kids[node, 1]
         if hit0 and kid0 < 0:
-            share, layers = _through_leaf(bvh, kid0, o, d, share, layers)
+            share, layers = _through_leaf(corners, veil, kid0, o, d, share, layers)
+            if share == ZERO:
+                return ZERO
             hit0 = False
         if hit1 and kid1 < 0:
-            share, layers = _through_leaf(bvh, kid1, o, d, share, layers)
+            share, layers = _through_leaf(corners, veil, kid1, o, d, share, layers)
+            if share == ZERO:
+                return ZERO
             hit1 = False
-        if share == ZERO:
-            return ZERO
         if hit0 and hit1:
             node, stack[depth] = (kid0, kid1) if t0 <= t1 else (kid1, kid0)
             depth += 1
@@ -374,26 +401,17 @@ def _bits(x):
 
 
 @device_jit
-def solid(bvh):
-    """The tree with every triangle opaque."""
-    return Bvh(bvh.boxes, bvh.kids, bvh.corners, bvh.source, bvh.rays, bvh.cutout[:0], bvh.uv, bvh.place, bvh.texels,
-               bvh.most_layers, bvh.opaque, bvh.sieve, bvh.sieve_slot)
-
-
-@device_jit
-def _is_there(bvh, k, u, v):
+def _is_there(veil, k, u, v):
     """Whether triangle k counts at (u, v): with the chance of its opacity, by a hash of the place."""
-    if len(bvh.cutout) == 0 or bvh.cutout[k] < 0:
-        return True
-    return uniform(bvh.source[k], int(u * PLACES), int(v * PLACES)) < opacity(bvh, k, u, v)
+    return len(veil) == 0 or uniform(k, int(u * PLACES), int(v * PLACES)) < opacity(veil, k, u, v)
 
 
 @device_jit
-def _leaf_closest(bvh, leaf, o, d, best, found, bu, bv):
+def _leaf_closest(corners, veil, leaf, o, d, best, found, bu, bv):
     code = -leaf - 1
     for k in range(code >> 3, (code >> 3) + (code & 7)):
-        t, u, v = _meet(bvh.corners, k, o, d)
-        if t > ZERO and t < best and _is_there(bvh, k, u, v):
+        t, u, v = _meet(corners, k, o, d)
+        if t > ZERO and t < best and _is_there(veil, k, u, v):
             best, found, bu, bv = t, k, u, v
     return best, found, bu, bv
 
@@ -402,17 +420,28 @@ def _leaf_closest(bvh, leaf, o, d, best, found, bu, bv):
 def closest_hit(bvh, stack, o, d, reach):
     """(t, slot, u, v) of the nearest triangle along o + t d with 0 < t < reach; slot is -1 where there is none.
 
-    `slot` indexes `bvh.corners` and `bvh.source`. Nearer children come first; a stacked node that has fallen behind the
-    best hit fails its box tests at once, because both children are tested against the shortened reach.
+    `slot` indexes `bvh.corners` and `bvh.source`. A triangle that lets light through is met with the chance of its opacity.
     """
-    if bvh.rays[0] != 0:
+    return _closest(bvh.boxes, bvh.kids, bvh.corners, bvh.veil, bvh.rays, stack, o, d, reach)
+
+
+@device_jit
+def closest_triangle(bvh, stack, o, d, reach):
+    """As `closest_hit`, with every triangle taken as opaque."""
+    return _closest(bvh.boxes, bvh.kids, bvh.corners, bvh.veil[:0], bvh.rays, stack, o, d, reach)
+
+
+@device_jit
+def _closest(boxes, kids, corners, veil, rays, stack, o, d, reach):
+    """Nearer children come first; a stacked node that has fallen behind the best hit fails its box tests at once, because
+    both children are tested against the shortened reach."""
+    if rays[0] != 0:
         near = ZERO
         while True:
-            t, k, u, v = intersect(bvh.rays, o.x, o.y, o.z, d.x, d.y, d.z, near, reach)
-            if k < 0 or _is_there(bvh, k, u, v):
+            t, k, u, v = intersect(rays, o.x, o.y, o.z, d.x, d.y, d.z, near, reach)
+            if k < 0 or _is_there(veil, k, u, v):
                 return t, k, u, v
             near = _behind(t)
-    boxes, kids = bvh.boxes, bvh.kids
     inv = Vec3(_safe_rcp(d.x), _safe_rcp(d.y), _safe_rcp(d.z))
     depth, node = 0, 0
     best, found, bu, bv = reach, -1, ZERO, ZERO
@@ -421,10 +450,10 @@ def closest_hit(bvh, stack, o, d, reach):
         hit1, t1 = _enter(boxes, node, 1, o, inv, best)
         kid0, kid1 = kids[node, 0], kids[node, 1]
         if hit0 and kid0 < 0:
-            best, found, bu, bv = _leaf_closest(bvh, kid0, o, d, best, found, bu, bv)
+            best, found, bu, bv = _leaf_closest(corners, veil, kid0, o, d, best, found, bu, bv)
             hit0 = False
         if hit1 and kid1 < 0:
-            best, found, bu, bv = _leaf_closest(bvh, kid1, o, d, best, found, bu, bv)
+            best, found, bu, bv = _leaf_closest(corners, veil, kid1, o, d, best, found, bu, bv)
             hit1 = False
         if hit0 and hit1:
             node, stack[depth] = (kid0, kid1) if t0 <= t1 else (kid1, kid0)

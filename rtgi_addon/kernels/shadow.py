@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .bvh import closest_hit, solid, triangle_normal
+from .bvh import closest_triangle, triangle_normal
 from .jit import device_jit
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, scaled
 
@@ -355,7 +355,7 @@ def find_surface(bvh, stack, p, towards_viewer, span):
     those of the triangle. Shadow rays that start from the triangle itself need only the offset of its own rounding. The
     pixel shows the triangle, so it is there.
     """
-    t, slot, _, _ = closest_hit(solid(bvh), stack, along(p, towards_viewer, span), scaled(towards_viewer, -span), f32(2))
+    t, slot, _, _ = closest_triangle(bvh, stack, along(p, towards_viewer, span), scaled(towards_viewer, -span), f32(2))
     if slot < 0:
         return False, p, towards_viewer
     n = triangle_normal(bvh, slot)

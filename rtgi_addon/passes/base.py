@@ -61,6 +61,7 @@ class Context:
         self.is_cancelled, self._report = is_cancelled, report
         self._bvh_of: np.ndarray | None = None
         self._cutouts_of: Cutouts | None = None
+        self._tree: Any = None                   # as it is without cutouts
         self._bvh: Any = None
         self.light: dict[Transport, np.ndarray] = {}
 
@@ -82,9 +83,9 @@ class Context:
         same = self._bvh_of is geometry.corners_ws or (
             self._bvh_of is not None and np.array_equal(self._bvh_of, geometry.corners_ws))
         if not same:
-            self._bvh = build_bvh(geometry.corners_ws, geometry.cutouts)
-        elif self._cutouts_of is not geometry.cutouts:
-            self._bvh = with_cutouts(self._bvh, geometry.cutouts)
+            self._tree = build_bvh(geometry.corners_ws)
+        if not same or self._cutouts_of is not geometry.cutouts:
+            self._bvh = with_cutouts(self._tree, geometry.cutouts)
         self._bvh_of, self._cutouts_of = geometry.corners_ws, geometry.cutouts
         return self._bvh
 

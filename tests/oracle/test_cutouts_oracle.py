@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from rtgi_addon.core.frame import Cutouts
-from rtgi_addon.kernels.bvh import STACK, build_bvh, closest_hit, is_occluded, opacity, solid, visibility, with_cutouts
+from rtgi_addon.kernels.bvh import (
+    STACK,
+    build_bvh,
+    closest_hit,
+    closest_triangle,
+    is_occluded,
+    opacity,
+    visibility,
+    with_cutouts,
+)
 from rtgi_addon.kernels.vec3 import Vec3, f32
 from tests.oracle import cutouts_oracle
 
@@ -59,7 +68,7 @@ def test_opacity_is_the_bilinear_value_of_the_repeated_map(rng):
         for u, v in rng.uniform(0, 0.5, (20, 2)):
             expected = cutouts_oracle.opacity(cutouts, bvh.source[slot], float(f32(u)), float(f32(v)))
             # places of up to 12 texels in float32, on a slope of at most one map's range a texel
-            assert opacity(bvh, slot, f32(u), f32(v)) == pytest.approx(expected, abs=1e-5)
+            assert opacity(bvh.veil, slot, f32(u), f32(v)) == pytest.approx(expected, abs=1e-5)
 
 
 def test_visibility_is_the_product_over_every_triangle_asked(rng):
@@ -99,8 +108,9 @@ def test_behind_more_layers_than_the_limit_it_is_dark(layers, share):
 
 def test_without_cutouts_every_triangle_blocks(rng):
     corners = soup(rng, 40)
-    plain, none = build_bvh(corners), with_cutouts(build_bvh(corners, some_cutouts(rng, 40)), None)
-    assert len(plain.cutout) == len(none.cutout) == 0
+    plain = build_bvh(corners)
+    none = with_cutouts(plain, None)
+    assert len(none.veil) == 0
     for start, vector in rng.normal(size=(100, 2, 3)).astype(np.float32):
         t, _ = min([(t, k) for t, k, _, _ in cutouts_oracle.meetings(start.astype(float), vector.astype(float), corners)],
                    default=(np.inf, -1))
@@ -108,10 +118,10 @@ def test_without_cutouts_every_triangle_blocks(rng):
             assert seen(plain, start, vector) == seen(none, start, vector) == (1 if t > 1 else 0)
 
 
-def test_a_solid_tree_is_hit_where_nothing_is_there():
-    corners, cutouts = panes(0, 255)
-    bvh = build_bvh(corners, cutouts)
-    assert bvh.source[hit(solid(bvh), (0, 0, -1), (0, 0, 1))[1]] == 0
+def test_the_closest_triangle_is_met_where_nothing_is_there():
+    bvh = build_bvh(*panes(0, 255))
+    found = closest_triangle(bvh, np.empty(STACK, np.int32), vec((0, 0, -1)), vec((0, 0, 1)), f32(1e30))
+    assert bvh.source[found[1]] == 0
 
 
 def test_closest_hits_meet_a_pane_as_often_as_it_is_opaque(rng):
