@@ -33,7 +33,7 @@ from .clusters import (
     NORMAL,
     TO_LIGHT,
 )
-from .jit import device_jit, pixel_jit, prange
+from .jit import inline_jit, pixel_jit, prange
 from .sampling import uniform
 from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_column, scaled, sub
 
@@ -46,7 +46,7 @@ NEAR_TEXELS = 8192          # texels of near clusters that a point weighs one by
 POINTS_A_BLOCK = 32         # points that one thread takes at a time, so that scratch is allocated once for them
 
 
-@device_jit
+@inline_jit
 def _record_factors(p, n, R, k, eps2):
     """(diffuse, glossy): irradiance at point p, normal n is diffuse * R[k, DIFFUSE] + glossy * R[k, GLOSSY]; 1/m2."""
     d = sub(load(R, k), p)
@@ -61,7 +61,7 @@ def _record_factors(p, n, R, k, eps2):
     return cos_r * cos_e / (r2 * r2) * INV_PI, glossy
 
 
-@device_jit
+@inline_jit
 def _weigh(p, n, C, has_glossy, w):
     """Unshadowed weight of every cluster: 0 only where no texel of it can be above both horizons.
 
@@ -87,7 +87,7 @@ def _weigh(p, n, C, has_glossy, w):
             w[c] += (C[C_GLOSSY, c] * cos_r * inv / r2 * lobe) if cos_e > ZERO else ZERO
 
 
-@device_jit
+@inline_jit
 def _weigh_texels(p, n, T, has_glossy, eps2, first, number, out, at):
     """Mean over the colours of what each of `number` texels gives unshadowed, to out[at:]; returns their sum."""
     total = ZERO
@@ -108,7 +108,7 @@ def _weigh_texels(p, n, T, has_glossy, eps2, first, number, out, at):
     return total
 
 
-@device_jit
+@inline_jit
 def _pick_near(gives, first, number, goal):
     """(index, what it gives): the first of gives[first:first + number] at which their running sum passes `goal`."""
     run, found, gives_found = ZERO, -1, ZERO
@@ -121,7 +121,7 @@ def _pick_near(gives, first, number, goal):
     return found, gives_found
 
 
-@device_jit
+@inline_jit
 def _by_flux(running, first, last, u):
     """The column of [first, last) in proportion to flux, by bisection."""
     base, span = running[first], running[last] - running[first]
@@ -135,7 +135,7 @@ def _by_flux(running, first, last, u):
     return lo
 
 
-@device_jit
+@inline_jit
 def _pick_far(p, n, R, running, eps2, first, last, u, v):
     """(texel, share) by resampling: CANDIDATES texels drawn by flux, one of them kept by what it gives here.
 
@@ -158,7 +158,7 @@ def _pick_far(p, n, R, running, eps2, first, last, u, v):
     return k, gives_k * f32(number) / max(total, f32(1e-30))
 
 
-@device_jit
+@inline_jit
 def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack):
     """(r, g, b, unshadowed mean, variance of the mean) at one point.
 
