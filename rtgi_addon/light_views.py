@@ -74,7 +74,7 @@ def points_that_matter(frame: Frame, light: Light, bvh: Bvh, seed: int = 0) -> n
     normal = frame.gbuffer.normal_ws.reshape(-1, 3)[chosen]
     low, high = frame.geometry.bounds_ws
     reach = 2 * float(np.linalg.norm(high - low)) + float(np.abs(position).max())
-    offset_m = f32(2e-5 * frame.scale_m)
+    offset_m = f32(frame.ray_offset_m)
     hits, lit = lit_hits(position, normal, bvh, vector(-light.direction_ws), PILOT_RAYS, offset_m, f32(reach), seed)
     return hits[lit]
 

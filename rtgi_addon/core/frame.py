@@ -282,6 +282,11 @@ class Frame:
         glossy = [material for material in self.materials if max(material.specular) > 1e-4]
         return not glossy or any(material.keeps_energy for material in glossy)
 
+    @property
+    def ray_offset_m(self) -> float:
+        """What both ends of a ray are lifted off their surfaces by: a fifty-thousandth of the scene's size."""
+        return 2e-5 * self.scale_m
+
     @functools.cached_property
     def scale_m(self) -> float:
         """Size of what matters: twice what the camera sees, at most all geometry.

@@ -28,7 +28,6 @@ from ..kernels.vpl import gather_all, gather_polar, thin_texels
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_in_tiles, gather_on_lattice
 
-RAY_OFFSET = 2e-5           # of the scene's size: both ends of a shadow ray are lifted off their surface by it
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
@@ -64,7 +63,7 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
     context.checkpoint("Cluster lit texels", 0.0)
     clusters = cluster_texels(table, params.clusters, frame.scale_m)
     bvh = context.bvh(frame.geometry)
-    offset_m, eps2 = f32(RAY_OFFSET * frame.scale_m), f32(MIN_DISTANCE2 * frame.scale_m**2)
+    offset_m, eps2 = f32(frame.ray_offset_m), f32(MIN_DISTANCE2 * frame.scale_m**2)
 
     def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
         return gather_visible(position, normal, ids, clusters, eps2, bvh, params.rays, offset_m, salt)
