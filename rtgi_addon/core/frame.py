@@ -294,9 +294,12 @@ class Frame:
         Ray offsets and tolerances are relative to it.
         A ground plane of 10 km under a chair must not set the offsets of the chair's rays.
         """
-        seen = self.gbuffer.position_ws[::4, ::4][self.gbuffer.mask[::4, ::4]]
-        extent = float(np.ptp(np.quantile(seen, [0.02, 0.98], axis=0), axis=0).max()) if len(seen) > 16 else 0.0
-        if self.geometry is None or not len(self.geometry):
+        every = 4 if self.gbuffer.depth.size > 4096 else 1
+        seen = self.gbuffer.position_ws[::every, ::every][self.gbuffer.mask[::every, ::every]]
+        whole = self.geometry.scale_m if self.geometry is not None else 0.0
+        if len(seen) <= 16:                      # too few to tell
+            return whole if whole > 0 else 1.0
+        extent = float(np.ptp(np.quantile(seen, [0.02, 0.98], axis=0), axis=0).max())
+        if not whole > 0:
             return extent if extent > 0 else 1.0
-        whole = self.geometry.scale_m
         return min(whole, 2 * extent) if extent > 1e-3 * whole else max(whole * 1e-3, 1e-9)

@@ -84,7 +84,8 @@ def _weigh(p, n, C, has_glossy, w):
             # lift the direction by the cluster's size: part of it sees the point even where its centre does not
             to_point = along(scaled(d, -inv), m, radius * HALF * inv)
             lobe = ggx_lobe(m, load_column(C, C_TO_LIGHT, c), to_point, wide, C[C_F0, c])
-            w[c] += (C[C_GLOSSY, c] * cos_r * inv / r2 * lobe) if cos_e > ZERO else ZERO
+            # a cluster without a lobe has an F0 of 0 too, and its lobe may be 0 / 0
+            w[c] += (C[C_GLOSSY, c] * cos_r * inv / r2 * lobe) if min(C[C_GLOSSY, c], cos_e) > ZERO else ZERO
 
 
 @inline_jit
