@@ -62,11 +62,11 @@ def ggx_lobe(normal, fixed, other, alpha2, f0=F0):
 
 @device_jit
 def sample_lobe(normal, fixed, alpha, u, v):
-    """(direction, weight): a direction drawn from the lobe without Fresnel, and the lobe over its density, from 0 to about 1.
+    """(direction, weight): a direction drawn from the lobe without Fresnel, and the lobe over its density, at most about 1.
 
     Half vectors that `fixed` sees, of those only what reflects above the surface ("bounded VNDF", Eto and Tokuyoshi 2023,
-    Eqs. 5 to 7; drawn on a spherical cap as in Dupuy and Benyoub 2023). D cancels in the weight, so that alpha may be 0: then
-    it is the mirror direction. `fixed` must be on the surface's side.
+    Eqs. 5 to 7; drawn on a spherical cap as in Dupuy and Benyoub 2023). D cancels in the weight, so that alpha may be 0:
+    then it is the mirror direction. `fixed` must be on the surface's side.
     """
     tangent, bitangent = tangent_frame(normal)
     x, y, z = dot(fixed, tangent), dot(fixed, bitangent), min(max(dot(fixed, normal), f32(1e-4)), ONE)

@@ -1,8 +1,8 @@
 """What the camera sees as a small plane in every pixel, and a pyramid of their bounds that rays skip empty space by.
 
 Heights: h = 1 / depth for a perspective view and h = -depth for an orthographic one, so that larger is nearer to the camera
-in both. On a plane, and along a ray, h is an affine function of the place in the picture (exactly), which is why nothing here
-interpolates depth itself. A pixel's surface is the plane
+in both. On a plane, and along a ray, h is an affine function of the place in the picture (exactly), which is why nothing
+here interpolates depth itself. A pixel's surface is the plane
 
     h(x, y) = h_centre + slope_x (x - x_centre) + slope_y (y - y_centre)
 
@@ -145,5 +145,6 @@ def _lay_planes(s, slack_px, thickness_m, planes, bounds):
             slope_x, slope_y = _slopes(s, i, j, h)
             slack = slack_at(s, h, slack_px, thickness_m)
             reach = HALF * (abs(slope_x) + abs(slope_y))
-            planes[i, j, HEIGHT], planes[i, j, SLOPE_X], planes[i, j, SLOPE_Y], planes[i, j, SLACK] = h, slope_x, slope_y, slack
+            planes[i, j, HEIGHT], planes[i, j, SLACK] = h, slack
+            planes[i, j, SLOPE_X], planes[i, j, SLOPE_Y] = slope_x, slope_y
             bounds[k, HIGH], bounds[k, LOW] = h + reach, h - reach - slack

@@ -1,7 +1,7 @@
 """Filters for reflections: as wide as the lobe is blurred, never across planes, normals or roughnesses.
 
-Moving a pixel by x along its surface moves what it reflects, at the distance t, by about x (1 + t / D), with D the distance of
-the viewer; a lobe of GGX alpha blurs what is there over about alpha t. So neighbours within
+Moving a pixel by x along its surface moves what it reflects, at the distance t, by about x (1 + t / D), with D the distance
+of the viewer; a lobe of GGX alpha blurs what is there over about alpha t. So neighbours within
 
     sigma = reach alpha / (1 / t + 1 / D)
 
@@ -17,18 +17,20 @@ import math
 import numpy as np
 
 from .jit import device_jit, pixel_jit, prange
-from .reflect import MEANS, NEARNESS, VARIANCE
 from .vec3 import ONE, ZERO, dot, f32, load_pixel, sub
 
 LEAST_ALPHA2 = f32(1e-6)    # of the weights: a mirror takes nothing but itself
-FILTERED = 7                # columns of a filtered pixel: MEANS and SHARE
+# columns of a pixel: light of hit surfaces by colour, light of emissive surfaces and the world by colour, then
+SHARE, NEARNESS = 6, 7      # how much of the lobe is known, and the mean of 1 / length of its rays in 1/m
+FILTERED = 7                # what is filtered: all but NEARNESS
 WEAK = f32(0.05)            # below this weight a pixel found no like neighbour on the lattice
-LEAST_WEIGHT = f32(1e-3)
+FARTHEST = f32(-7)          # exponent of the weight e^-7 below which a neighbour is not looked at
+LEAST_SIGMA = f32(0.15)     # a filter narrower than this share of the plane's tolerance, a quarter of a pixel, does nothing
 
 
 @device_jit
 def _likeness(p, n, alpha, q, m, other, rcp_tolerance):
-    """Weight in [0, 1] of a neighbour at q with normal m and lobe width `other`: nearness to the plane, normal, roughness."""
+    """Weight in [0, 1] of a neighbour at q, normal m, GGX alpha `other`: nearness to the plane, likeness of the two."""
     cosine = dot(n, m)
     if cosine <= ZERO:
         return ZERO
@@ -37,50 +39,23 @@ def _likeness(p, n, alpha, q, m, other, rcp_tolerance):
     return math.exp(-abs(dot(n, sub(q, p))) * rcp_tolerance - turned - rougher * rougher)
 
 
-@pixel_jit
-def pilot_reflections(results, traced, step, position, normal, roughness, rcp_tolerance):
-    """(H, W, 3) float32 for traced pixels: mean brightness of the 3x3 like neighbours, its variance, their mean nearness.
-
-    A pixel with one ray knows no variance of its own; there the neighbours' spread tells it.
-    """
-    height, width = traced.shape
-    out = np.zeros((height, width, 3), np.float32)
-    for i in prange(height):
-        for j in range(width):
-            if not traced[i, j]:
-                continue
-            p, n, s = load_pixel(position, i, j), load_pixel(normal, i, j), step[i, j]
-            alpha = roughness[i, j] * roughness[i, j]
-            total, mean, variance, near, squares, shares = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
-            for u in range(i - s, i + s + 1, s):
-                for v in range(j - s, j + s + 1, s):
-                    if u < 0 or v < 0 or u >= height or v >= width or not traced[u, v]:
-                        continue
-                    k = _likeness(p, n, alpha, load_pixel(position, u, v), load_pixel(normal, u, v),
-                                  roughness[u, v] * roughness[u, v], rcp_tolerance[i, j])
-                    x = ZERO
-                    for c in range(6):
-                        x += results[u, v, MEANS + c]
-                    total += k
-                    shares += k * k
-                    mean += k * x
-                    squares += k * x * x
-                    near += k * results[u, v, NEARNESS]
-                    variance += k * k * results[u, v, VARIANCE] * f32(9)
-            mean, near = mean / total, near / total
-            spread = max(squares / total - mean * mean, ZERO) * shares / (total * total)
-            variance = variance / (total * total)
-            out[i, j, 0], out[i, j, 1], out[i, j, 2] = mean, variance if variance > ZERO else spread, near
-    return out
+@device_jit
+def _mean_nearness(results, traced, i, j, s):
+    """Mean of 1 / length of the rays of the 3x3 traced pixels around (i, j): one ray alone is no measure of it."""
+    near, count = ZERO, ZERO
+    for u in range(max(i - s, 0), min(i + s + 1, traced.shape[0]), s):
+        for v in range(max(j - s, 0), min(j + s + 1, traced.shape[1]), s):
+            if traced[u, v]:
+                near += results[u, v, NEARNESS]
+                count += ONE
+    return near / count
 
 
 @pixel_jit
-def smooth_reflections(results, pilot, traced, step, position, normal, roughness, distance, rcp_tolerance, radius, reach,
-                       contrast):
+def smooth_reflections(results, traced, step, position, normal, roughness, distance, rcp_tolerance, radius, reach):
     """(H, W, FILTERED) float32 for traced pixels: mean of the like neighbours within the blur of the lobe.
 
-    `distance` (H, W) m to the viewer, +inf for parallel rays; `radius` in steps; `contrast` in standard deviations of noise:
-    neighbours whose pilot mean differs by more count less.
+    `distance` (H, W) m to the viewer, +inf for parallel rays; `radius` in steps.
     """
     height, width = traced.shape
     out = np.zeros((height, width, FILTERED), np.float32)
@@ -88,30 +63,26 @@ def smooth_reflections(results, pilot, traced, step, position, normal, roughness
         for j in range(width):
             if not traced[i, j]:
                 continue
-            p, n, s = load_pixel(position, i, j), load_pixel(normal, i, j), step[i, j]
-            alpha = roughness[i, j] * roughness[i, j]
-            sigma = reach * alpha / max(pilot[i, j, 2] + ONE / distance[i, j], f32(1e-20))
-            sharp = -f32(0.5) / max(sigma * sigma, f32(1e-30))
-            mine, noise = pilot[i, j, 0], pilot[i, j, 1]
-            total = ONE
             for c in range(FILTERED):
                 out[i, j, c] = results[i, j, c]
-            for u in range(i - radius * s, i + radius * s + 1, s):
-                for v in range(j - radius * s, j + radius * s + 1, s):
-                    if u < 0 or v < 0 or u >= height or v >= width or not traced[u, v] or (u == i and v == j):
+            p, n, s = load_pixel(position, i, j), load_pixel(normal, i, j), step[i, j]
+            alpha = roughness[i, j] * roughness[i, j]
+            near = _mean_nearness(results, traced, i, j, s)
+            sigma = reach * alpha / max(near + ONE / distance[i, j], f32(1e-20))
+            if sigma * rcp_tolerance[i, j] < LEAST_SIGMA:
+                continue
+            sharp, total = -f32(0.5) / (sigma * sigma), ONE
+            for u in range(max(i - radius * s, i % s), min(i + radius * s + 1, height), s):
+                for v in range(max(j - radius * s, j % s), min(j + radius * s + 1, width), s):
+                    if not traced[u, v] or (u == i and v == j):
                         continue
                     q = load_pixel(position, u, v)
                     d = sub(q, p)
                     far = dot(d, d) * sharp
-                    if far < f32(-7):            # e^-7 is below LEAST_WEIGHT
+                    if far < FARTHEST:
                         continue
                     k = _likeness(p, n, alpha, q, load_pixel(normal, u, v), roughness[u, v] * roughness[u, v],
                                   rcp_tolerance[i, j]) * math.exp(far)
-                    if k < LEAST_WEIGHT:
-                        continue
-                    difference = pilot[u, v, 0] - mine
-                    k *= math.exp(-difference * difference / (contrast * contrast * (pilot[u, v, 1] + noise)
-                                                              + f32(1e-4) * mine * mine + f32(1e-30)))
                     total += k
                     for c in range(FILTERED):
                         out[i, j, c] += k * results[u, v, c]
