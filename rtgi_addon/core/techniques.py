@@ -87,15 +87,15 @@ class SsrParams(Params):
     exact_rays: bool = param(
         False, "Trace every ray through the triangles instead of the picture; the yardstick for hits in the picture")
     samples: int = param(
-        16, "Rays for each block of 4x4 pixels; a smooth pixel takes at least one of its own. Noise falls with the square root",
+        16, "Rays for each block of 4x4 pixels, at least one for each smooth pixel; noise falls with the square root",
         low=1, high=4096, soft_high=256)
     lattice_px: int = param(
         4, "Largest distance between traced pixels on rough surfaces; pixels between them are interpolated",
         low=1, high=4, unit="px")
     step_px: int = param(4, "Length of a step where rays take even steps", low=1, high=64, unit="px")
     thickness: float = param(
-        0.02, "How thick surfaces are taken to be where no triangles are asked, as a share of the scene's size: too thin leaves "
-        "holes, too thick smears", low=0.0, high=1.0)
+        0.02, "Thickness of what the camera sees where no triangles are asked, as a share of the scene's size: too thin "
+        "leaves holes, too thick smears", low=0.0, high=1.0)
     edge_fade: float = param(
         0.05, "Width of the frame's edge over which hits in the picture fade into what answers beyond it, as a share of its "
         "shorter side", low=0.0, high=0.5)

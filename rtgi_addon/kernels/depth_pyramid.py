@@ -115,16 +115,31 @@ def _height_or(s, i, j, otherwise):
 
 
 @device_jit
-def _slopes(s, i, j, h):
-    """Slopes of the plane at pixel (i, j) in height a pixel, to the right and down."""
-    n = seen_normal_vs(s, i, j)
-    x, y = s.left + (f32(j) + HALF) * s.step_x, s.top - (f32(i) + HALF) * s.step_y
+def plane_slopes(s, n, column, row, h):
+    """Slopes, to the right and down in height a pixel, of the plane with view-space normal n that is seen at a place.
+
+    0 for a plane that is seen edge-on.
+    """
+    x, y = s.left + column * s.step_x, s.top - row * s.step_y
     # n . point is the same on the whole plane; per unit of depth in a perspective view
     over = n.z if s.projection == ORTHOGRAPHIC else n.x * x + n.y * y - n.z
     scale = ONE if s.projection == ORTHOGRAPHIC else -h
-    told_x, told_y = ZERO, ZERO
-    if abs(over) > f32(1e-4):
-        told_x, told_y = -scale * n.x * s.step_x / over, scale * n.y * s.step_y / over
+    if not abs(over) > f32(1e-4):
+        return ZERO, ZERO
+    return -scale * n.x * s.step_x / over, scale * n.y * s.step_y / over
+
+
+@device_jit
+def width_at(s, h):
+    """How much height changes over a depth that is as long as a pixel is wide, at height h."""
+    step = max(s.step_x, s.step_y)
+    return step if s.projection == ORTHOGRAPHIC else h * step
+
+
+@device_jit
+def _slopes(s, i, j, h):
+    """Slopes of the plane at pixel (i, j): see the module."""
+    told_x, told_y = plane_slopes(s, seen_normal_vs(s, i, j), f32(j) + HALF, f32(i) + HALF, h)
     slope_x = _median(h - _height_or(s, i, j - 1, h - told_x), _height_or(s, i, j + 1, h + told_x) - h, told_x)
     slope_y = _median(h - _height_or(s, i - 1, j, h - told_y), _height_or(s, i + 1, j, h + told_y) - h, told_y)
     return slope_x, slope_y

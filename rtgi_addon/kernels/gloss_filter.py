@@ -21,10 +21,13 @@ from .vec3 import ONE, ZERO, dot, f32, load_pixel, sub
 
 LEAST_ALPHA2 = f32(1e-6)    # of the weights: a mirror takes nothing but itself
 # columns of a pixel: light of hit surfaces by colour, light of emissive surfaces and the world by colour, then
-SHARE, NEARNESS = 6, 7      # how much of the lobe is known, and the mean of 1 / length of its rays in 1/m
-FILTERED = 7                # what is filtered: all but NEARNESS
+SHARE, WEIGHT, NEARNESS = 6, 7, 8   # how much of the lobe is known, its sum (all before is divided by it at the end), and
+FILTERED = 8                        # the mean of 1 / length of its rays in 1/m, which is not filtered
 WEAK = f32(0.05)            # below this weight a pixel found no like neighbour on the lattice
-FARTHEST = f32(-7)          # exponent of the weight e^-7 below which a neighbour is not looked at
+UNREST = f32(0.5)           # standard deviation of the neighbours over their mean from which a sharp pixel is traced itself
+APART = f32(0.6)            # sigma over the plane's tolerance, 1.6 steps, below which a pixel is sharp: neighbours lie apart
+WIDE = f32(1e30)
+FARTHEST = f32(12)          # squared distance in sigmas from which a neighbour is not looked at: its weight is 1/400
 LEAST_SIGMA = f32(0.15)     # a filter narrower than this share of the plane's tolerance, a quarter of a pixel, does nothing
 
 
@@ -32,57 +35,63 @@ LEAST_SIGMA = f32(0.15)     # a filter narrower than this share of the plane's t
 def _likeness(p, n, alpha, q, m, other, rcp_tolerance):
     """Weight in [0, 1] of a neighbour at q, normal m, GGX alpha `other`: nearness to the plane, likeness of the two."""
     cosine = dot(n, m)
-    if cosine <= ZERO:
+    if not cosine > ZERO:
         return ZERO
     turned = f32(4) * (ONE - cosine) / (alpha * alpha + LEAST_ALPHA2)
     rougher = (other - alpha) / (f32(0.3) * alpha + f32(0.01))
     return math.exp(-abs(dot(n, sub(q, p))) * rcp_tolerance - turned - rougher * rougher)
 
 
-@device_jit
-def _mean_nearness(results, traced, i, j, s):
-    """Mean of 1 / length of the rays of the 3x3 traced pixels around (i, j): one ray alone is no measure of it."""
-    near, count = ZERO, ZERO
-    for u in range(max(i - s, 0), min(i + s + 1, traced.shape[0]), s):
-        for v in range(max(j - s, 0), min(j + s + 1, traced.shape[1]), s):
-            if traced[u, v]:
-                near += results[u, v, NEARNESS]
-                count += ONE
-    return near / count
+@pixel_jit
+def blur_of_pixels(results, traced, step, roughness, distance, reach):
+    """(H, W) float32 m: sigma of each traced pixel, by the nearest that its 3x3 traced neighbours see (see the module).
+
+    `distance` (H, W) m to the viewer, +inf for parallel rays.
+    """
+    height, width = traced.shape
+    out = np.zeros((height, width), np.float32)
+    for i in prange(height):
+        for j in range(width):
+            if not traced[i, j]:
+                continue
+            s, near = step[i, j], ZERO
+            for u in range(max(i - s, i % s), min(i + s + 1, height), s):
+                for v in range(max(j - s, j % s), min(j + s + 1, width), s):
+                    if traced[u, v]:
+                        near = max(near, results[u, v, NEARNESS])
+            out[i, j] = reach * roughness[i, j] * roughness[i, j] / max(near + ONE / distance[i, j], f32(1e-20))
+    return out
 
 
 @pixel_jit
-def smooth_reflections(results, traced, step, position, normal, roughness, distance, rcp_tolerance, radius, reach):
-    """(H, W, FILTERED) float32 for traced pixels: mean of the like neighbours within the blur of the lobe.
+def smooth_reflections(results, blur, wanted, traced, step, position, normal, roughness, rcp_tolerance, radius):
+    """(H, W, FILTERED) float32 for the `wanted` of the traced pixels: mean of the like neighbours within the lobe's blur.
 
-    `distance` (H, W) m to the viewer, +inf for parallel rays; `radius` in steps.
+    `radius` is in steps. Of two pixels the smaller blur decides, so that what stands near does not run into what is far.
     """
     height, width = traced.shape
     out = np.zeros((height, width, FILTERED), np.float32)
     for i in prange(height):
         for j in range(width):
-            if not traced[i, j]:
+            if not wanted[i, j]:
                 continue
             for c in range(FILTERED):
                 out[i, j, c] = results[i, j, c]
-            p, n, s = load_pixel(position, i, j), load_pixel(normal, i, j), step[i, j]
-            alpha = roughness[i, j] * roughness[i, j]
-            near = _mean_nearness(results, traced, i, j, s)
-            sigma = reach * alpha / max(near + ONE / distance[i, j], f32(1e-20))
-            if sigma * rcp_tolerance[i, j] < LEAST_SIGMA:
+            if blur[i, j] * rcp_tolerance[i, j] < LEAST_SIGMA:
                 continue
-            sharp, total = -f32(0.5) / (sigma * sigma), ONE
+            p, n, s = load_pixel(position, i, j), load_pixel(normal, i, j), step[i, j]
+            alpha, total = roughness[i, j] * roughness[i, j], ONE
             for u in range(max(i - radius * s, i % s), min(i + radius * s + 1, height), s):
                 for v in range(max(j - radius * s, j % s), min(j + radius * s + 1, width), s):
                     if not traced[u, v] or (u == i and v == j):
                         continue
                     q = load_pixel(position, u, v)
                     d = sub(q, p)
-                    far = dot(d, d) * sharp
-                    if far < FARTHEST:
+                    sigma = min(blur[i, j], blur[u, v])
+                    if not dot(d, d) < FARTHEST * sigma * sigma:
                         continue
                     k = _likeness(p, n, alpha, q, load_pixel(normal, u, v), roughness[u, v] * roughness[u, v],
-                                  rcp_tolerance[i, j]) * math.exp(far)
+                                  rcp_tolerance[i, j]) * math.exp(-f32(0.5) * dot(d, d) / (sigma * sigma))
                     total += k
                     for c in range(FILTERED):
                         out[i, j, c] += k * results[u, v, c]
@@ -92,10 +101,11 @@ def smooth_reflections(results, traced, step, position, normal, roughness, dista
 
 
 @pixel_jit
-def spread_reflections(smooth, traced, step, position, normal, roughness, rcp_tolerance, weak):
-    """Fill the pixels of `smooth` that were not traced from the four to sixteen around them that were; in place.
+def spread_reflections(smooth, blur, traced, step, position, normal, roughness, rcp_tolerance, weak):
+    """Fill the pixels of `smooth` that were not traced from the sixteen around them that may have been; in place.
 
-    `weak` (H, W) bool becomes True where no like neighbour was found. Pixels of step 0 do not reflect.
+    `weak` (H, W) bool becomes True where that fails: where no like neighbour was found, and where neighbours differ although
+    the lobe blurs less than they lie apart, as at the foot of what is reflected. Pixels of step 0 do not reflect.
     """
     height, width = traced.shape
     for i in prange(height):
@@ -105,7 +115,7 @@ def spread_reflections(smooth, traced, step, position, normal, roughness, rcp_to
                 continue
             p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
             alpha = roughness[i, j] * roughness[i, j]
-            first_i, first_j, total = (i // s - 1) * s, (j // s - 1) * s, ZERO
+            first_i, first_j, total, mean, squares, sharpest = (i // s - 1) * s, (j // s - 1) * s, ZERO, ZERO, ZERO, WIDE
             for u in range(first_i, first_i + 4 * s, s):
                 for v in range(first_j, first_j + 4 * s, s):
                     if u < 0 or v < 0 or u >= height or v >= width or not traced[u, v]:
@@ -114,8 +124,14 @@ def spread_reflections(smooth, traced, step, position, normal, roughness, rcp_to
                     k = tent * tent * _likeness(p, n, alpha, load_pixel(position, u, v), load_pixel(normal, u, v),
                                                 roughness[u, v] * roughness[u, v], rcp_tolerance[i, j])
                     total += k
+                    x = ZERO
                     for c in range(FILTERED):
                         smooth[i, j, c] += k * smooth[u, v, c]
-            weak[i, j] = not total >= WEAK
+                        x += smooth[u, v, c] if c < SHARE else ZERO
+                    mean += k * x
+                    squares += k * x * x
+                    sharpest = min(sharpest, blur[u, v])
+            is_sharp = sharpest * rcp_tolerance[i, j] < APART
+            weak[i, j] = not total >= WEAK or (is_sharp and squares * total > (ONE + UNREST * UNREST) * mean * mean)
             for c in range(FILTERED):
                 smooth[i, j, c] /= max(total, f32(1e-30))

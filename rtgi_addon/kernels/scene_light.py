@@ -13,12 +13,12 @@ import numpy as np
 
 from .brdf import INV_PI, fit_lobe, ggx_lobe, lobe_albedos
 from .bvh import STACK, closest_hit, is_occluded, triangle_normal
-from .depth_pyramid import height_at
+from .depth_pyramid import height_at, plane_slopes
 from .jit import device_jit, pixel_jit, prange
 from .lamps import LEAST_ALPHA, Lamp, lamp_at, lamp_place
 from .reflect import ASK, edge_fade, lit_there
 from .sampling import cosine_hemisphere, uniform
-from .screen import is_inside, to_screen, view_vector
+from .screen import is_inside, to_screen, turn_to_view, view_vector
 from .shadow import ORTHOGRAPHIC
 from .sky import sky_texel
 from .vec3 import (
@@ -176,10 +176,11 @@ def _ask(r, q, is_blurred, screen, planes, gloss, bvh, around, rules, seed, stac
         p, share = along(start, d, t), ZERO
         column, row, depth = to_screen(screen, p)
         if is_inside(screen, column, row) and (depth > ZERO or screen.projection == ORTHOGRAPHIC):
-            n = triangle_normal(bvh, slot)
+            n, h = triangle_normal(bvh, slot), height_at(screen, depth)
+            slope_x, slope_y = plane_slopes(screen, turn_to_view(screen, n), column, row, h)
             # the camera and the ray look at the same side
-            if dot(n, view_vector(screen, p)) * dot(n, d) < ZERO and lit_there(planes, gloss.leaving, column, row,
-                                                                              height_at(screen, depth), light):
+            if dot(n, view_vector(screen, p)) * dot(n, d) < ZERO and lit_there(
+                    screen, planes, gloss.leaving, column, row, h, slope_x, slope_y, light):
                 share = edge_fade(screen, column, row, rules.fade_px)
         if share < ONE:
             _light_triangle(bvh, around, stack, p, d, slot, a, b, gloss.albedos, rules.offset_m, rules.reach_m, q, seed,

@@ -124,7 +124,7 @@ def march(pyramid, ray, i, j, top, stops_hidden):
 
     The pixel itself is not asked: a surface does not reflect itself. `top` is the highest level of the pyramid that is
     used. With `stops_hidden` the ray ends where the camera loses sight of it, at HIDDEN; without, hidden stretches are
-    passed. LEFT tells that the ray left the picture at s, in the pixel given, ENDED that it was clear to its end.
+    passed. LEFT tells that the ray left the picture at s, in the pixel given, ENDED that it was clear to its end (no pixel).
     """
     planes, bounds, first, columns = pyramid.planes, pyramid.bounds, pyramid.first, pyramid.columns
     height, width = planes.shape[0], planes.shape[1]
@@ -152,7 +152,7 @@ def march(pyramid, ray, i, j, top, stops_hidden):
                 if answer == HIT or (answer == HIDDEN and stops_hidden):
                     return answer, i, j, at, steps
         if leaves >= 1.0:
-            return ENDED, i, j, 1.0, steps
+            return ENDED, -1, -1, 1.0, steps
         s = leaves
         # a corner is passed by the column first: so does every level
         if at_x <= at_y:
@@ -224,5 +224,5 @@ def march_evenly(pyramid, ray, i, j, step_px, stops_hidden):
                 if answer == HIT or (answer == HIDDEN and stops_hidden):
                     return answer, i, j, at, steps
         if s >= 1.0:
-            return ENDED, i, j, s, steps
+            return ENDED, -1, -1, s, steps
         before = s
