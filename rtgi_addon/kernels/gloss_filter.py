@@ -17,37 +17,45 @@ import math
 import numpy as np
 
 from .jit import device_jit, pixel_jit, prange
-from .vec3 import ONE, ZERO, dot, f32, load_pixel, sub
+from .reflect import NEARNESS, SHARE
+from .screen import seen_vs
+from .shadow import ORTHOGRAPHIC
+from .vec3 import ONE, ZERO, dot, f32, length, load_pixel, sub
 
+FILTERED = 8                # columns of a pixel that are filtered: all but the nearness
+PLANE_TOLERANCE_PX = f32(1.6)       # how far off the tangent plane, in widths of a step, a neighbour still counts e^-1
 LEAST_ALPHA2 = f32(1e-6)    # of the weights: a mirror takes nothing but itself
-# columns of a pixel: light of hit surfaces by colour, light of emissive surfaces and the world by colour, then
-SHARE, WEIGHT, NEARNESS = 6, 7, 8   # how much of the lobe is known, its sum (all before is divided by it at the end), and
-FILTERED = 8                        # the mean of 1 / length of its rays in 1/m, which is not filtered
 WEAK = f32(0.05)            # below this weight a pixel found no like neighbour on the lattice
 UNREST = f32(0.5)           # standard deviation of the neighbours over their mean from which a sharp pixel is traced itself
-APART = f32(0.6)            # sigma over the plane's tolerance, 1.6 steps, below which a pixel is sharp: neighbours lie apart
+APART = f32(1)              # sigma in steps below which a pixel is sharp: its neighbours lie farther apart
 WIDE = f32(1e30)
 FARTHEST = f32(12)          # squared distance in sigmas from which a neighbour is not looked at: its weight is 1/400
-LEAST_SIGMA = f32(0.15)     # a filter narrower than this share of the plane's tolerance, a quarter of a pixel, does nothing
+LEAST_SIGMA = f32(0.25)     # a filter narrower than this share of a step does nothing
 
 
 @device_jit
-def _likeness(p, n, alpha, q, m, other, rcp_tolerance):
-    """Weight in [0, 1] of a neighbour at q, normal m, GGX alpha `other`: nearness to the plane, likeness of the two."""
-    cosine = dot(n, m)
+def _width_m(s, i, j):
+    """Width of pixel (i, j) in m where it meets its surface, facing the camera."""
+    step = math.sqrt(s.step_x * s.step_y)
+    return step if s.projection == ORTHOGRAPHIC else step * s.depth[i, j]
+
+
+@device_jit
+def _likeness(s, roughness, i, j, u, v, step_m):
+    """Weight in [0, 1] of pixel (u, v) for (i, j): nearness to the plane, likeness of normal and roughness."""
+    n, alpha = load_pixel(s.normal_ws, i, j), roughness[i, j] * roughness[i, j]
+    cosine = dot(n, load_pixel(s.normal_ws, u, v))
     if not cosine > ZERO:
         return ZERO
+    off = abs(dot(n, sub(load_pixel(s.position_ws, u, v), load_pixel(s.position_ws, i, j)))) / (PLANE_TOLERANCE_PX * step_m)
     turned = f32(4) * (ONE - cosine) / (alpha * alpha + LEAST_ALPHA2)
-    rougher = (other - alpha) / (f32(0.3) * alpha + f32(0.01))
-    return math.exp(-abs(dot(n, sub(q, p))) * rcp_tolerance - turned - rougher * rougher)
+    rougher = (roughness[u, v] * roughness[u, v] - alpha) / (f32(0.3) * alpha + f32(0.01))
+    return math.exp(-off - turned - rougher * rougher)
 
 
 @pixel_jit
-def blur_of_pixels(results, traced, step, roughness, distance, reach):
-    """(H, W) float32 m: sigma of each traced pixel, by the nearest that its 3x3 traced neighbours see (see the module).
-
-    `distance` (H, W) m to the viewer, +inf for parallel rays.
-    """
+def blur_of_pixels(results, screen, roughness, step, traced, reach):
+    """(H, W) float32 m: sigma of each traced pixel, by the nearest that its 3x3 traced neighbours see (see the module)."""
     height, width = traced.shape
     out = np.zeros((height, width), np.float32)
     for i in prange(height):
@@ -59,12 +67,14 @@ def blur_of_pixels(results, traced, step, roughness, distance, reach):
                 for v in range(max(j - s, j % s), min(j + s + 1, width), s):
                     if traced[u, v]:
                         near = max(near, results[u, v, NEARNESS])
-            out[i, j] = reach * roughness[i, j] * roughness[i, j] / max(near + ONE / distance[i, j], f32(1e-20))
+            if screen.projection != ORTHOGRAPHIC:
+                near += ONE / length(seen_vs(screen, i, j))
+            out[i, j] = reach * roughness[i, j] * roughness[i, j] / max(near, f32(1e-20))
     return out
 
 
 @pixel_jit
-def smooth_reflections(results, blur, wanted, traced, step, position, normal, roughness, rcp_tolerance, radius):
+def smooth_reflections(results, blur, wanted, screen, roughness, step, traced, radius):
     """(H, W, FILTERED) float32 for the `wanted` of the traced pixels: mean of the like neighbours within the lobe's blur.
 
     `radius` is in steps. Of two pixels the smaller blur decides, so that what stands near does not run into what is far.
@@ -77,21 +87,19 @@ def smooth_reflections(results, blur, wanted, traced, step, position, normal, ro
                 continue
             for c in range(FILTERED):
                 out[i, j, c] = results[i, j, c]
-            if blur[i, j] * rcp_tolerance[i, j] < LEAST_SIGMA:
+            s = step[i, j]
+            step_m = _width_m(screen, i, j) * f32(s)
+            if blur[i, j] < LEAST_SIGMA * step_m:
                 continue
-            p, n, s = load_pixel(position, i, j), load_pixel(normal, i, j), step[i, j]
-            alpha, total = roughness[i, j] * roughness[i, j], ONE
+            p, total = load_pixel(screen.position_ws, i, j), ONE
             for u in range(max(i - radius * s, i % s), min(i + radius * s + 1, height), s):
                 for v in range(max(j - radius * s, j % s), min(j + radius * s + 1, width), s):
                     if not traced[u, v] or (u == i and v == j):
                         continue
-                    q = load_pixel(position, u, v)
-                    d = sub(q, p)
-                    sigma = min(blur[i, j], blur[u, v])
+                    d, sigma = sub(load_pixel(screen.position_ws, u, v), p), min(blur[i, j], blur[u, v])
                     if not dot(d, d) < FARTHEST * sigma * sigma:
                         continue
-                    k = _likeness(p, n, alpha, q, load_pixel(normal, u, v), roughness[u, v] * roughness[u, v],
-                                  rcp_tolerance[i, j]) * math.exp(-f32(0.5) * dot(d, d) / (sigma * sigma))
+                    k = _likeness(screen, roughness, i, j, u, v, step_m) * math.exp(-f32(0.5) * dot(d, d) / (sigma * sigma))
                     total += k
                     for c in range(FILTERED):
                         out[i, j, c] += k * results[u, v, c]
@@ -101,7 +109,7 @@ def smooth_reflections(results, blur, wanted, traced, step, position, normal, ro
 
 
 @pixel_jit
-def spread_reflections(smooth, blur, traced, step, position, normal, roughness, rcp_tolerance, weak):
+def spread_reflections(smooth, blur, screen, roughness, step, traced, weak):
     """Fill the pixels of `smooth` that were not traced from the sixteen around them that may have been; in place.
 
     `weak` (H, W) bool becomes True where that fails: where no like neighbour was found, and where neighbours differ although
@@ -113,16 +121,14 @@ def spread_reflections(smooth, blur, traced, step, position, normal, roughness, 
             s = step[i, j]
             if s <= 1 or traced[i, j]:
                 continue
-            p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
-            alpha = roughness[i, j] * roughness[i, j]
+            step_m = _width_m(screen, i, j) * f32(s)
             first_i, first_j, total, mean, squares, sharpest = (i // s - 1) * s, (j // s - 1) * s, ZERO, ZERO, ZERO, WIDE
             for u in range(first_i, first_i + 4 * s, s):
                 for v in range(first_j, first_j + 4 * s, s):
                     if u < 0 or v < 0 or u >= height or v >= width or not traced[u, v]:
                         continue
                     tent = max(f32(2 * s) - f32(abs(u - i)), ZERO) * max(f32(2 * s) - f32(abs(v - j)), ZERO) / f32(s * s)
-                    k = tent * tent * _likeness(p, n, alpha, load_pixel(position, u, v), load_pixel(normal, u, v),
-                                                roughness[u, v] * roughness[u, v], rcp_tolerance[i, j])
+                    k = tent * tent * _likeness(screen, roughness, i, j, u, v, step_m)
                     total += k
                     x = ZERO
                     for c in range(FILTERED):
@@ -131,7 +137,7 @@ def spread_reflections(smooth, blur, traced, step, position, normal, roughness, 
                     mean += k * x
                     squares += k * x * x
                     sharpest = min(sharpest, blur[u, v])
-            is_sharp = sharpest * rcp_tolerance[i, j] < APART
+            is_sharp = sharpest < APART * step_m
             weak[i, j] = not total >= WEAK or (is_sharp and squares * total > (ONE + UNREST * UNREST) * mean * mean)
             for c in range(FILTERED):
                 smooth[i, j, c] /= max(total, f32(1e-30))

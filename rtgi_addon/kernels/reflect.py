@@ -26,19 +26,24 @@ from .shadow import ORTHOGRAPHIC
 from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, lifted, load_pixel, normalized_or, scaled
 
 KNOWN, SKY, ASK = 0, 1, 2             # what a ray still needs: nothing, the world, the triangles
-BLOCK = 16                  # pixels that one thread follows in a row
+BLOCK = 64                  # pixels that one thread follows in a row
 BACK_PX = 1.5               # pixels by which a ray through the triangles starts before the picture lost it
+# columns of a pixel's results, after the light of hit surfaces and that of emissive surfaces and the world by colour:
+SHARE, WEIGHT, NEARNESS = 6, 7, 8     # how much of the lobe is known, its sum (all before are divided by it at the end), and
+                                      # the mean of 1 / length of its rays in 1/m
+MIRROR_ALPHA = f32(1e-4)    # roughness 0.01: the lobe is a tenth of a pixel wide
 LEAST_COSINE = f32(0.02)    # of viewer and normal: below it the normal is turned towards the viewer
 
 
 class Gloss(NamedTuple):
     """What the camera's pixels send out and how they reflect.
 
-    leaving (H, W, 6) float32 W/(m2 sr): light that leaves each pixel after direct light has reached it, then its own
-    emission; specular (H, W, 3), roughness (H, W) float32; albedos: `brdf.albedo_table()`.
+    leaving (H, W, 3) float32 W/(m2 sr): light that leaves each pixel after direct light has reached it; emission (H, W, 3):
+    its own; specular (H, W, 3), roughness (H, W) float32; albedos: `brdf.albedo_table()`.
     """
 
     leaving: np.ndarray
+    emission: np.ndarray
     specular: np.ndarray
     roughness: np.ndarray
     albedos: np.ndarray
@@ -125,7 +130,7 @@ def usable_normal(n, plane, viewer):
 
 
 @device_jit
-def lit_there(s, planes, leaving, column, row, h, slope_x, slope_y, light):
+def lit_there(s, planes, gloss, column, row, h, slope_x, slope_y, light):
     """Light that the picture shows at a place of height h into `light` (6,); False where no pixel shows that surface.
 
     Of the four pixels around those are interpolated that show the surface, whose slopes are known: their planes and it agree
@@ -148,8 +153,9 @@ def lit_there(s, planes, leaving, column, row, h, slope_x, slope_y, light):
             # a place at the very centre of a neighbour may have nothing else to go by
             w = (fx if x > left else ONE - fx) * (fy if y > top else ONE - fy) + f32(1e-6)
             total += w
-            for c in range(6):
-                light[c] += w * leaving[y, x, c]
+            for c in range(3):
+                light[c] += w * gloss.leaving[y, x, c]
+                light[3 + c] += w * gloss.emission[y, x, c]
     if not total > ZERO:
         return False
     for c in range(6):
@@ -169,66 +175,70 @@ def edge_fade(s, column, row, fade_px):
 
 
 @device_jit
-def _follow(r, i, j, origin, s, pyramid, leaving, rules, rays):
-    """Follow ray r, which starts at `origin` in pixel (i, j), through the picture and fill what it brings."""
-    d = Vec3(rays.direction[r, 0], rays.direction[r, 1], rays.direction[r, 2])
-    share, length_m, begin, answer = ZERO, ZERO, ZERO, ASK if rules.asks else SKY
-    if not rules.asks_all:
-        u = turn_to_view(s, d)
-        ray = ray_in_picture(s, seen_vs(s, i, j), u, rules.reach_m)
-        if rules.top < 0:
-            end, at_i, at_j, place, rays.steps[r] = march_evenly(pyramid, ray, i, j, rules.step_px, rules.stops_hidden)
-        else:
-            end, at_i, at_j, place, rays.steps[r] = march(pyramid, ray, i, j, rules.top, rules.stops_hidden)
-        if end == HIT:
-            column, row, h = f32(ray.x + place * ray.dx), f32(ray.y + place * ray.dy), f32(ray.h + place * ray.dh)
-            plane = pyramid.planes[at_i, at_j]
-            if not lit_there(s, pyramid.planes, leaving, column, row, h, plane[SLOPE_X], plane[SLOPE_Y], rays.light[r]):
-                for c in range(6):
-                    rays.light[r, c] = leaving[at_i, at_j, c]
-            share, length_m = edge_fade(s, column, row, rules.fade_px), f32(distance_at(ray, place))
-        elif end == ENDED and u.z <= ZERO:       # clear to behind the farthest thing that the camera sees
-            answer = SKY
-        longest = max(abs(ray.dx), abs(ray.dy))
-        if longest > 0.0:
-            begin = f32(distance_at(ray, max(place - BACK_PX / longest, 0.0)))
-    rays.answer[r], rays.share[r] = KNOWN if share >= ONE else answer, share
-    rays.length_m[r] = length_m if share > ZERO else begin
-    start = along(begun(origin, d, rules.offset_m), d, begin)
-    rays.start[r, 0], rays.start[r, 1], rays.start[r, 2] = start.x, start.y, start.z
-
-
-@device_jit
 def place_in_block(i, j):
     """Number of a pixel in its block of 4x4 along a Morton curve: neighbours take neighbouring points of a sequence."""
     return (j & 1) | ((i & 1) << 1) | ((j & 2) << 1) | ((i & 2) << 2)
 
 
 @device_jit
-def _reflect_pixel(first, i, j, samples, s, pyramid, gloss, rules, seed, rays):
-    """Draw and follow the rays of pixel (i, j), which are those from `first` on."""
-    p = load_pixel(s.position_ws, i, j)
-    viewer, plane = view_vector(s, p), plane_normal(s, pyramid.planes, i, j)
-    n = usable_normal(load_pixel(s.normal_ws, i, j), plane, viewer)
-    alpha = gloss.roughness[i, j] * gloss.roughness[i, j]
-    reflectance = max(gloss.specular[i, j, 0], max(gloss.specular[i, j, 1], gloss.specular[i, j, 2]))
-    cosine = max(dot(n, viewer), LEAST_COSINE)
-    f0, gain = fit_lobe(reflectance, cosine, alpha, gloss.albedos)
-    gain /= fresnel(cosine, f0)
-    origin = lifted(p, plane, rules.offset_m)
-    # pixels of a block of 4x4 share one shifted sequence, so that a filter over them sees it whole
-    block, place = (i >> 2) * 65536 + (j >> 2), place_in_block(i, j)
-    shift_u, shift_v = uniform(block, seed, 1), uniform(block, seed, 2)
-    for k in range(samples):
-        r = first + k
-        u, v = r2_sequence(k * 16 + place, shift_u, shift_v)
-        d, weight = sample_lobe(n, viewer, alpha, u, v)
-        rays.direction[r, 0], rays.direction[r, 1], rays.direction[r, 2] = d.x, d.y, d.z
-        rays.weight[r] = gain * weight * fresnel(max(dot(normalized_or(add(viewer, d), n), viewer), ZERO), f0)
-        if dot(d, plane) > ZERO:
-            _follow(r, i, j, origin, s, pyramid, gloss.leaving, rules, rays)
-        else:                                    # below the surface: Cycles lets such light be lost
-            rays.answer[r], rays.share[r], rays.length_m[r] = KNOWN, ONE, rules.reach_m
+def _reflect_block(index, begin, end, samples, s, pyramid, gloss, rules, seed, rays):
+    """Draw and follow the rays of the pixels begin to end of `index`.
+
+    All of it in one function: the tuples of arrays are hundreds of numbers that each further call would copy.
+    """
+    width, reach = s.depth.shape[1], np.float64(rules.reach_m)
+    for m in range(begin, end):
+        i, j = index[m] // width, index[m] % width
+        p = load_pixel(s.position_ws, i, j)
+        viewer, plane = view_vector(s, p), plane_normal(s, pyramid.planes, i, j)
+        n = usable_normal(load_pixel(s.normal_ws, i, j), plane, viewer)
+        origin, start_vs = lifted(p, plane, rules.offset_m), seen_vs(s, i, j)
+        alpha = gloss.roughness[i, j] * gloss.roughness[i, j]
+        mirror = along(scaled(viewer, -ONE), n, f32(2) * dot(n, viewer))
+        f0, gain, shift_u, shift_v, place = ONE, ONE, ZERO, ZERO, 0
+        if alpha >= MIRROR_ALPHA:
+            reflectance = max(gloss.specular[i, j, 0], max(gloss.specular[i, j, 1], gloss.specular[i, j, 2]))
+            cosine = max(dot(n, viewer), LEAST_COSINE)
+            f0, gain = fit_lobe(reflectance, cosine, alpha, gloss.albedos)
+            gain /= fresnel(cosine, f0)
+            # pixels of a block of 4x4 share one shifted sequence, so that a filter over them sees it whole
+            block, place = (i >> 2) * 65536 + (j >> 2), place_in_block(i, j)
+            shift_u, shift_v = uniform(block, seed, 1), uniform(block, seed, 2)
+        for k in range(samples):
+            r, d, weight = m * samples + k, mirror, ONE
+            if alpha >= MIRROR_ALPHA:
+                u, v = r2_sequence(k * 16 + place, shift_u, shift_v)
+                d, weight = sample_lobe(n, viewer, alpha, u, v)
+                weight *= gain * fresnel(max(dot(normalized_or(add(viewer, d), n), viewer), ZERO), f0)
+            rays.direction[r, 0], rays.direction[r, 1], rays.direction[r, 2] = d.x, d.y, d.z
+            rays.weight[r] = weight
+            if not dot(d, plane) > ZERO:         # below the surface: Cycles lets such light be lost
+                rays.answer[r], rays.share[r], rays.length_m[r] = KNOWN, ONE, rules.reach_m
+                continue
+            share, length_m, lost_m, answer = ZERO, ZERO, ZERO, ASK if rules.asks else SKY
+            if not rules.asks_all:
+                ray = ray_in_picture(s, start_vs, turn_to_view(s, d), reach)
+                if rules.top < 0:
+                    what, at_i, at_j, at, rays.steps[r] = march_evenly(pyramid, ray, i, j, rules.step_px, rules.stops_hidden)
+                else:
+                    what, at_i, at_j, at, rays.steps[r] = march(pyramid, ray, i, j, rules.top, rules.stops_hidden)
+                if what == HIT:
+                    column, row, h = f32(ray.x + at * ray.dx), f32(ray.y + at * ray.dy), f32(ray.h + at * ray.dh)
+                    slope_x, slope_y = pyramid.planes[at_i, at_j, SLOPE_X], pyramid.planes[at_i, at_j, SLOPE_Y]
+                    if not lit_there(s, pyramid.planes, gloss, column, row, h, slope_x, slope_y, rays.light[r]):
+                        for c in range(3):
+                            rays.light[r, c] = gloss.leaving[at_i, at_j, c]
+                            rays.light[r, 3 + c] = gloss.emission[at_i, at_j, c]
+                    share, length_m = edge_fade(s, column, row, rules.fade_px), f32(distance_at(ray, at))
+                elif what == ENDED and ray.dh <= 0.0:    # clear to behind the farthest thing that the camera sees
+                    answer = SKY
+                longest = max(abs(ray.dx), abs(ray.dy))
+                if longest > 0.0:
+                    lost_m = f32(distance_at(ray, max(at - BACK_PX / longest, 0.0)))
+            rays.answer[r], rays.share[r] = KNOWN if share >= ONE else answer, share
+            rays.length_m[r] = length_m if share > ZERO else lost_m
+            start = along(begun(origin, d, rules.offset_m), d, lost_m)
+            rays.start[r, 0], rays.start[r, 1], rays.start[r, 2] = start.x, start.y, start.z
 
 
 @pixel_jit
@@ -237,6 +247,30 @@ def reflect_pixels(index, samples, screen, pyramid, gloss, rules, seed, rays):
 
     Ray m * samples + k is sample k of pixel m; `rays` must come from `make_rays`.
     """
-    width = screen.depth.shape[1]
+    blocks = (len(index) + BLOCK - 1) // BLOCK
+    for block in prange(blocks):
+        _reflect_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, pyramid, gloss, rules,
+                       seed, rays)
+
+
+@pixel_jit
+def collect_rays(index, samples, rays, is_open, nearest_m, results):
+    """Sum the rays of each pixel of `index` (M,) into its line of `results` (H, W, NEARNESS + 1).
+
+    `is_open`: what the picture did not give is left out, and SHARE tells how much was given. Lengths below `nearest_m` count
+    as that.
+    """
+    width = results.shape[1]
     for m in prange(len(index)):
-        _reflect_pixel(m * samples, index[m] // width, index[m] % width, samples, screen, pyramid, gloss, rules, seed, rays)
+        out = results[index[m] // width, index[m] % width]
+        for c in range(NEARNESS + 1):
+            out[c] = ZERO
+        for r in range(m * samples, (m + 1) * samples):
+            known = rays.share[r] if is_open else ONE
+            w = rays.weight[r] / f32(samples)
+            for c in range(6):
+                out[c] += w * (known * rays.light[r, c] if is_open else rays.light[r, c])
+            out[SHARE] += w * known
+            out[WEIGHT] += w
+            out[NEARNESS] += w / max(rays.length_m[r], nearest_m)
+        out[NEARNESS] /= max(out[WEIGHT], f32(1e-20))

@@ -123,86 +123,80 @@ def light_of_lamps(bvh, around, stack, p, n, towards, albedo, specular, roughnes
 
 
 @device_jit
-def _light_triangle(bvh, around, stack, p, d, slot, a, b, albedos, offset_m, reach_m, r, salt, light):
-    """Light that the triangle in `slot`, met at p along d, sends back, and what it emits, into `light` (6,).
-
-    (a, b) are the hit's barycentric coordinates; r and salt decide the random numbers.
-    """
-    n = triangle_normal(bvh, slot)
-    if dot(n, d) > ZERO:
-        n = scaled(n, -ONE)
-    t, c = bvh.source[slot], ONE - a - b
-    at = around.albedo[t]
+def _colours_at(around, albedos, t, a, b, cosine):
+    """(albedo, Glossy Color towards a direction at `cosine` to the normal, roughness) of triangle t at (a, b) in it."""
+    c, at = ONE - a - b, around.albedo[t]
     albedo = Vec3(c * at[0, 0] + a * at[1, 0] + b * at[2, 0], c * at[0, 1] + a * at[1, 1] + b * at[2, 1],
                   c * at[0, 2] + a * at[1, 2] + b * at[2, 2])
     substance = around.substance[around.material[t]]
-    flat, rise = lobe_albedos(albedos, -dot(n, d), substance[3] * substance[3])
+    flat, rise = lobe_albedos(albedos, cosine, substance[3] * substance[3])
     rise = min(rise / max(flat, f32(1e-3)), f32(0.9))
-    specular = scaled(Vec3(substance[0], substance[1], substance[2]), substance[4] + (ONE - substance[4]) * rise)
-    sent = light_of_lamps(bvh, around, stack, p, n, scaled(d, -ONE), albedo, specular, substance[3], albedos, offset_m,
-                          uniform(r, 11, salt), uniform(r, 12, salt), uniform(r, 13, salt))
-    light[0], light[1], light[2] = sent.x, sent.y, sent.z
-    if around.lights_up:
-        tangent, bitangent = tangent_frame(n)
-        up = to_world(cosine_hemisphere(uniform(r, 14, salt), uniform(r, 15, salt)), tangent, bitangent, n)
-        _, other, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), up, offset_m), up, reach_m)
-        row, column = sky_texel(up, around.blurred_sky.shape[0], around.blurred_sky.shape[1])
-        for k in range(3):
-            given = around.emission[bvh.source[other], k] if other >= 0 else around.blurred_sky[row, column, k]
-            light[k] += given * (albedo.x if k == 0 else (albedo.y if k == 1 else albedo.z))
-    for k in range(3):
-        light[3 + k] = around.emission[t, k]
+    reflectance = substance[4] + (ONE - substance[4]) * rise
+    return albedo, scaled(Vec3(substance[0], substance[1], substance[2]), reflectance), substance[3]
 
 
 @device_jit
-def _ask(r, q, is_blurred, screen, planes, gloss, bvh, around, rules, seed, stack, light, other, rays):
-    """Answer ray r: the part of its light that the picture did not give; q decides the random numbers.
-
-    `light` and `other` are (6,) scratch.
-    """
-    d = load(rays.direction, r)
-    t, slot, a, b = rules.reach_m, -1, ZERO, ZERO
-    if rays.answer[r] == ASK:
+def _ask_block(asked, begin, end, index, samples, screen, planes, gloss, bvh, around, rules, seed, rays):
+    """Answer the rays begin to end of `asked`; all of it in one function, see `reflect._reflect_block`."""
+    width = screen.depth.shape[1]
+    stack, light, other = np.empty(STACK, np.int32), np.empty(6, np.float32), np.empty(3, np.float32)
+    for k in range(begin, end):
+        r = asked[k]
+        pixel = index[r // samples]
+        q, d = pixel * samples + r % samples, load(rays.direction, r)
         start = load(rays.start, r)
-        t, slot, a, b = closest_hit(bvh, stack, start, d, rules.reach_m)
-    for c in range(6):
-        light[c] = ZERO
-    if slot < 0:
-        sky = around.blurred_sky if is_blurred else around.sky
-        row, column = sky_texel(d, sky.shape[0], sky.shape[1])
-        for c in range(3):
-            light[3 + c] = sky[row, column, c]
-    else:
-        p, share = along(start, d, t), ZERO
-        column, row, depth = to_screen(screen, p)
-        if is_inside(screen, column, row) and (depth > ZERO or screen.projection == ORTHOGRAPHIC):
-            n, h = triangle_normal(bvh, slot), height_at(screen, depth)
-            slope_x, slope_y = plane_slopes(screen, turn_to_view(screen, n), column, row, h)
-            # the camera and the ray look at the same side
-            if dot(n, view_vector(screen, p)) * dot(n, d) < ZERO and lit_there(
-                    screen, planes, gloss.leaving, column, row, h, slope_x, slope_y, light):
-                share = edge_fade(screen, column, row, rules.fade_px)
-        if share < ONE:
-            _light_triangle(bvh, around, stack, p, d, slot, a, b, gloss.albedos, rules.offset_m, rules.reach_m, q, seed,
-                            other)
-            for c in range(6):
-                light[c] = share * light[c] + (ONE - share) * other[c]
-    known = rays.share[r]
-    for c in range(6):
-        rays.light[r, c] = known * rays.light[r, c] + (ONE - known) * light[c]
-    if known == ZERO:
-        rays.length_m[r] = t if slot < 0 else rays.length_m[r] + t
+        t, slot, a, b = rules.reach_m, -1, ZERO, ZERO
+        if rays.answer[r] == ASK:
+            t, slot, a, b = closest_hit(bvh, stack, start, d, rules.reach_m)
+        for c in range(6):
+            light[c] = ZERO
+        if slot < 0:
+            is_blurred = gloss.roughness[pixel // width, pixel % width] > BLURRED
+            sky = around.blurred_sky if is_blurred else around.sky
+            row, column = sky_texel(d, sky.shape[0], sky.shape[1])
+            for c in range(3):
+                light[3 + c] = sky[row, column, c]
+        else:
+            p, n, share = along(start, d, t), triangle_normal(bvh, slot), ZERO
+            if dot(n, d) > ZERO:
+                n = scaled(n, -ONE)
+            across, down, depth = to_screen(screen, p)
+            # only where the camera looks at the same side as the ray
+            if (is_inside(screen, across, down) and (depth > ZERO or screen.projection == ORTHOGRAPHIC)
+                    and dot(n, view_vector(screen, p)) > ZERO):
+                h = height_at(screen, depth)
+                slope_x, slope_y = plane_slopes(screen, turn_to_view(screen, n), across, down, h)
+                if lit_there(screen, planes, gloss, across, down, h, slope_x, slope_y, light):
+                    share = edge_fade(screen, across, down, rules.fade_px)
+            if share < ONE:
+                source = bvh.source[slot]
+                albedo, specular, roughness = _colours_at(around, gloss.albedos, source, a, b, -dot(n, d))
+                sent = light_of_lamps(bvh, around, stack, p, n, scaled(d, -ONE), albedo, specular, roughness, gloss.albedos,
+                                      rules.offset_m, uniform(q, 11, seed), uniform(q, 12, seed), uniform(q, 13, seed))
+                other[0], other[1], other[2] = sent.x, sent.y, sent.z
+                if around.lights_up:
+                    tangent, bitangent = tangent_frame(n)
+                    up = to_world(cosine_hemisphere(uniform(q, 14, seed), uniform(q, 15, seed)), tangent, bitangent, n)
+                    begin_up = begun(lifted(p, n, rules.offset_m), up, rules.offset_m)
+                    _, above, _, _ = closest_hit(bvh, stack, begin_up, up, rules.reach_m)
+                    row, column = sky_texel(up, around.blurred_sky.shape[0], around.blurred_sky.shape[1])
+                    for c in range(3):
+                        given = around.emission[bvh.source[above], c] if above >= 0 else around.blurred_sky[row, column, c]
+                        other[c] += given * (albedo.x if c == 0 else (albedo.y if c == 1 else albedo.z))
+                for c in range(3):
+                    light[c] = share * light[c] + (ONE - share) * other[c]
+                    light[3 + c] = share * light[3 + c] + (ONE - share) * around.emission[source, c]
+        known = rays.share[r]
+        for c in range(6):
+            rays.light[r, c] = known * rays.light[r, c] + (ONE - known) * light[c]
+        if known == ZERO:
+            rays.length_m[r] = t if slot < 0 else rays.length_m[r] + t
 
 
 @pixel_jit
 def ask_scene(asked, index, samples, screen, planes, gloss, bvh, around, rules, seed, rays):
     """Answer the rays `asked` (K,) of `rays`, those of `reflect_pixels`: what the picture did not give is added."""
-    blocks, width = (len(asked) + BLOCK - 1) // BLOCK, screen.depth.shape[1]
+    blocks = (len(asked) + BLOCK - 1) // BLOCK
     for block in prange(blocks):
-        stack, light, other = np.empty(STACK, np.int32), np.empty(6, np.float32), np.empty(6, np.float32)
-        for k in range(block * BLOCK, min((block + 1) * BLOCK, len(asked))):
-            r = asked[k]
-            pixel = index[r // samples]
-            is_blurred = gloss.roughness[pixel // width, pixel % width] > BLURRED
-            _ask(r, pixel * samples + r % samples, is_blurred, screen, planes, gloss, bvh, around, rules, seed, stack, light,
-                 other, rays)
+        _ask_block(asked, block * BLOCK, min((block + 1) * BLOCK, len(asked)), index, samples, screen, planes, gloss, bvh,
+                   around, rules, seed, rays)

@@ -26,15 +26,14 @@ from ..core.frame import Frame, Geometry, Material
 from ..core.techniques import SsrParams
 from ..core.transforms import Projection, normalized
 from ..kernels.brdf import GAIN_STEPS, albedo_table
-from ..kernels.bvh import build_bvh
+from ..kernels.bvh import Bvh, build_bvh
 from ..kernels.depth_pyramid import build_pyramid
-from ..kernels.gloss_filter import FILTERED, NEARNESS, SHARE, WEIGHT, blur_of_pixels, smooth_reflections, spread_reflections
-from ..kernels.reflect import ASK, KNOWN, Gloss, Rules, make_rays, reflect_pixels
+from ..kernels.gloss_filter import FILTERED, blur_of_pixels, smooth_reflections, spread_reflections
+from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Gloss, Rules, collect_rays, make_rays, reflect_pixels
 from ..kernels.scene_light import Surroundings, ask_scene
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .direct import pack_lamp
-from .lattice import PLANE_TOLERANCE_PX, pixel_footprint_m
 from .screen import screen_of
 from .world import shrink_map
 
@@ -94,54 +93,44 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
     traced = traced_pixels(step)
     tracer.trace(step, traced)
     context.checkpoint("Filter reflections", 0.0)
-    footprint, distance = pixel_footprint_m(frame.camera, g.depth), _viewer_distance(frame)
-    surface = (g.position_ws, g.normal_ws, g.roughness)
-    blur, smooth = _smoothed(tracer.results, traced, traced, step, surface, distance, footprint)
+    surface = (tracer.screen, g.roughness)
+    blur = blur_of_pixels(tracer.results, *surface, step, traced, f32(FILTER_REACH))
+    smooth = smooth_reflections(tracer.results, blur, traced, *surface, step, traced, FILTER_RADIUS)
     weak = np.zeros(step.shape, np.bool_)
-    spread_reflections(smooth, blur, traced, step, *surface, _rcp_tolerance(step, footprint), weak)
+    spread_reflections(smooth, blur, *surface, step, traced, weak)
     if weak.any():
         tracer.trace(np.where(weak, WEAK_STEP, 0), weak)
-        _, again = _smoothed(tracer.results, weak, traced | weak, np.where(weak, 1, step), surface, distance, footprint)
-        smooth[weak] = again[weak]
+        traced |= weak
+        step = np.where(weak, 1, step)
+        blur = blur_of_pixels(tracer.results, *surface, step, traced, f32(FILTER_REACH))
+        smooth[weak] = smooth_reflections(tracer.results, blur, weak, *surface, step, traced, FILTER_RADIUS)[weak]
     weak_share = float(np.count_nonzero(weak) / np.count_nonzero(step))
     return _coloured(frame, smooth, fallback == "CONES", context, tracer.diagnostics | {"weak_share": weak_share})
-
-
-def _rcp_tolerance(step: np.ndarray, footprint_m: np.ndarray) -> np.ndarray:
-    """(H, W) float32 1/m: one over how far off a pixel's tangent plane a neighbour on its lattice still counts e^-1."""
-    return (1 / np.maximum(PLANE_TOLERANCE_PX * np.maximum(step, 1) * footprint_m, 1e-30)).astype(np.float32)
-
-
-def _smoothed(results: np.ndarray, wanted: np.ndarray, traced: np.ndarray, step: np.ndarray, surface: tuple[np.ndarray, ...],
-              distance_m: np.ndarray, footprint_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(blur of the traced pixels (H, W) m, results of the wanted ones filtered (H, W, FILTERED))."""
-    blur = blur_of_pixels(results, traced, step, surface[2], distance_m, f32(FILTER_REACH))
-    return blur, smooth_reflections(results, blur, wanted, traced, step, *surface, _rcp_tolerance(step, footprint_m),
-                                    FILTER_RADIUS)
 
 
 def _coloured(frame: Frame, smooth: np.ndarray, adds_earlier: bool, context: Context,
               diagnostics: dict[str, float]) -> PassResult:
     """The result from means over the lobe (H, W, FILTERED); what is not known of it is filled with earlier glossy light."""
-    smooth = smooth / np.maximum(smooth[..., WEIGHT, None], 1e-6)
-    specular = frame.gbuffer.specular
+    sums = np.maximum(smooth[..., WEIGHT], np.float32(1e-6))
+    colour = frame.gbuffer.specular / sums[..., None]
     if not frame.keeps_energy:
-        specular = specular * share_not_hidden(frame)[..., None]
-    light = {Transport.BOUNCE_GLOSSY: smooth[..., :3] * specular, Transport.WORLD_GLOSSY: smooth[..., 3:6] * specular}
+        colour *= share_not_hidden(frame)[..., None]
+    light = {Transport.BOUNCE_GLOSSY: smooth[..., :3] * colour, Transport.WORLD_GLOSSY: smooth[..., 3:6] * colour}
     earlier = [t for t in light if adds_earlier and t in context.light]
     for transport in earlier:
-        light[transport] += np.clip(1 - smooth[..., SHARE, None], 0, 1) * context.light[transport]
+        light[transport] += np.clip(1 - smooth[..., SHARE] / sums, 0, 1)[..., None] * context.light[transport]
     return PassResult(light, diagnostics=diagnostics, takes_over=frozenset(earlier))
 
 
 def step_of_pixels(frame: Frame, lattice_px: int) -> np.ndarray:
     """(H, W) int64: the lattice that each pixel belongs to, 1 for every pixel; 0 where nothing is reflected."""
-    g = frame.gbuffer
-    alpha = g.roughness**2
-    step = np.ones(g.shape, np.int64)
+    surface = frame.gbuffer
+    alpha = surface.roughness**2
+    step = np.ones(surface.shape, np.int64)
     for least, size in reversed(STEPS):
         step[alpha >= least] = min(size, lattice_px)
-    step[~(g.mask & (g.specular.max(-1) > NEGLIGIBLE))] = 0
+    r, g, b = (surface.specular[..., c] for c in range(3))
+    step[~(surface.mask & (np.maximum(np.maximum(r, g), b) > NEGLIGIBLE))] = 0
     return step
 
 
@@ -160,23 +149,14 @@ def _fallback_of(frame: Frame, params: SsrParams, context: Context) -> str:
     return "WORLD" if fallback == "RAYS" and frame.geometry is None else fallback
 
 
-def _viewer_distance(frame: Frame) -> np.ndarray:
-    if frame.camera.projection is Projection.ORTHOGRAPHIC:
-        return np.full(frame.gbuffer.shape, np.inf, np.float32)
-    return np.linalg.norm(frame.gbuffer.position_ws - frame.camera.position_ws.astype(np.float32), axis=-1)
-
-
 def leaving_light(frame: Frame, context: Context) -> np.ndarray:
-    """(H, W, 6) float32 W/(m2 sr): what each pixel sends out after direct light has reached it, and what it emits."""
-    g = frame.gbuffer
-    out = np.zeros((*g.shape, 6), np.float32)
-    for transport in (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE):
-        if transport in context.light:
-            out[..., :3] += context.light[transport]
-    out[..., :3] *= g.albedo * np.float32(1 / math.pi)
+    """(H, W, 3) float32 W/(m2 sr): what each pixel sends out after direct light has reached it."""
+    arrived = [context.light[t] for t in (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE)
+               if t in context.light]
+    out = frame.gbuffer.albedo * np.float32(1 / math.pi)
+    out *= sum(arrived[1:], start=arrived[0]) if arrived else np.float32(0)
     if Transport.DIRECT_GLOSSY in context.light:
-        out[..., :3] += context.light[Transport.DIRECT_GLOSSY]
-    out[..., 3:] = np.where(g.mask[..., None], g.emission, 0)
+        out += context.light[Transport.DIRECT_GLOSSY]
     return out
 
 
@@ -235,20 +215,28 @@ def _surroundings(frame: Frame, geometry: Geometry, far_m: float) -> Surrounding
         bool(sky.any() or geometry.emission.any()))
 
 
+def _reach_m(frame: Frame, bvh: Bvh) -> float:
+    """A length in m that leads from every pixel out of all triangles and past the farthest thing seen."""
+    seen = frame.gbuffer.position_ws              # 0 where nothing is seen
+    far = [seen.max(initial=0), -seen.min(initial=0), np.abs(frame.camera.position_ws).max()]
+    if len(bvh.corners):
+        far += [np.abs(bvh.boxes[0, :, :3].min(0)).max(), np.abs(bvh.boxes[0, :, 3:].max(0)).max()]
+    # twice the diagonal of the cube around the origin that holds them all
+    return 2 * 2 * math.sqrt(3) * float(max(far)) + 1e-3 * frame.scale_m
+
+
 class _Tracer:
     """Traces pixels of a frame, tile by tile; keeps their results (H, W, NEARNESS + 1) and counts of what it took."""
 
     def __init__(self, frame: Frame, params: SsrParams, context: Context, fallback: str, seed: int):
         g = frame.gbuffer
         geometry = frame.geometry if frame.geometry is not None else Geometry.empty()
-        low, high = geometry.bounds_ws
-        reach_m = 2 * (float(np.linalg.norm(high - low)) + 2 * float(np.abs(g.position_ws).max(initial=0))
-                       + float(np.abs(frame.camera.position_ws).max())) + 1e-3 * frame.scale_m
         has_rays = fallback == "RAYS"
         screen = screen_of(frame)
         pyramid = build_pyramid(screen, SLACK_PX, 0.0 if has_rays else params.thickness * frame.scale_m)
-        gloss = Gloss(leaving_light(frame, context), g.specular, g.roughness, albedo_table(frame.keeps_energy))
+        gloss = Gloss(leaving_light(frame, context), g.emission, g.specular, g.roughness, albedo_table(frame.keeps_energy))
         bvh = context.bvh(frame.geometry) if has_rays else build_bvh(np.zeros((0, 3, 3), np.float32))
+        reach_m = _reach_m(frame, bvh)
         fade_px = params.edge_fade * min(g.shape)
         self.results = np.zeros((*g.shape, NEARNESS + 1), np.float32)
         self.counts = {"rays": 0, "steps": 0, "hits": 0, "asked": 0, "traced_pixels": 0}
@@ -256,7 +244,7 @@ class _Tracer:
         self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays,
                             params.exact_rays and has_rays, has_rays, f32(fade_px), f32(RAY_OFFSET * frame.scale_m),
                             f32(reach_m))
-        self._screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
+        self.screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
         self._around = _surroundings(frame, geometry, reach_m)
 
     def trace(self, step: np.ndarray, wanted: np.ndarray) -> None:
@@ -271,21 +259,12 @@ class _Tracer:
 
     def _trace_tile(self, index: np.ndarray, samples: int) -> None:
         rays = make_rays(len(index) * samples)
-        reflect_pixels(index, samples, self._screen, self._pyramid, self._gloss, self._rules, self._seed, rays)
-        asked = np.flatnonzero(rays.answer != KNOWN)
+        reflect_pixels(index, samples, self.screen, self._pyramid, self._gloss, self._rules, self._seed, rays)
         if not self._is_left_open:
-            ask_scene(asked, index, samples, self._screen, self._pyramid.planes, self._gloss, self._bvh, self._around,
+            asked = np.flatnonzero(rays.answer != KNOWN)
+            ask_scene(asked, index, samples, self.screen, self._pyramid.planes, self._gloss, self._bvh, self._around,
                       self._rules, self._seed, rays)
-            known = np.ones_like(rays.share)
-        else:
-            known = rays.share
-            rays.light[...] *= known[:, None]
-        nearness = 1 / np.maximum(rays.length_m, self._rules.offset_m)
-        columns = np.concatenate([rays.light, known[:, None], np.ones_like(known)[:, None], nearness[:, None]], 1)
-        columns *= rays.weight[:, None]
-        sums = columns.reshape(-1, samples, columns.shape[1]).sum(1) / np.float32(samples)
-        sums[:, NEARNESS] /= np.maximum(sums[:, WEIGHT], 1e-20)
-        self.results.reshape(-1, self.results.shape[2])[index] = sums
+        collect_rays(index, samples, rays, self._is_left_open, self._rules.offset_m, self.results)
         for name, number in (("rays", len(rays.answer)), ("steps", int(rays.steps.sum())),
                              ("hits", np.count_nonzero(rays.share)), ("asked", np.count_nonzero(rays.answer == ASK)),
                              ("traced_pixels", len(index))):
