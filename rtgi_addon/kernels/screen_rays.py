@@ -154,8 +154,9 @@ def march(pyramid, ray, i, j, top, stops_hidden):
         if leaves >= 1.0:
             return ENDED, -1, -1, 1.0, steps
         s = leaves
-        # a corner is passed by the column first: so does every level
+        # a corner is passed by the column first, on every level
         if at_x <= at_y:
+            edge = edge_x
             if level > 0:
                 last = edge_y - 1 if goes_down else edge_y
                 i = _row_at(ray.y, ray.y + s * ray.dy, inverse_y, i, last, s, False)
@@ -163,13 +164,15 @@ def march(pyramid, ray, i, j, top, stops_hidden):
             if j < 0 or j >= width:
                 return LEFT, i, j + (1 if j < 0 else -1), s, steps
         else:
+            edge = edge_y
             if level > 0:
                 last = edge_x - 1 if goes_right else edge_x
                 j = _row_at(ray.x, ray.x + s * ray.dx, inverse_x, j, last, s, True)
             i = edge_y if goes_down else edge_y - 1
             if i < 0 or i >= height:
                 return LEFT, i + (1 if i < 0 else -1), j, s, steps
-        if level < top:
+        # within the same cell of the next level there is no more to skip than before
+        if level < top and ((edge >> level) & 1) == 0:
             level += 1
 
 

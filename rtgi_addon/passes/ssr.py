@@ -115,7 +115,10 @@ def _coloured(frame: Frame, smooth: np.ndarray, adds_earlier: bool, context: Con
     colour = frame.gbuffer.specular / sums[..., None]
     if not frame.keeps_energy:
         colour *= share_not_hidden(frame)[..., None]
-    light = {Transport.BOUNCE_GLOSSY: smooth[..., :3] * colour, Transport.WORLD_GLOSSY: smooth[..., 3:6] * colour}
+    shines = not frame.world.is_black or frame.gbuffer.emission.any() or (
+        frame.geometry is not None and frame.geometry.emission.any())
+    light = {Transport.BOUNCE_GLOSSY: smooth[..., :3] * colour,
+             Transport.WORLD_GLOSSY: smooth[..., 3:6] * colour if shines else np.zeros_like(colour)}
     earlier = [t for t in light if adds_earlier and t in context.light]
     for transport in earlier:
         light[transport] += np.clip(1 - smooth[..., SHARE] / sums, 0, 1)[..., None] * context.light[transport]
