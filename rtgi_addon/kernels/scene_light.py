@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .brdf import INV_PI, fit_lobe, ggx_lobe, lobe_albedos
-from .bvh import STACK, closest_hit, is_occluded, triangle_normal
+from .bvh import STACK, closest_hit, triangle_normal, visibility
 from .depth_pyramid import height_at, plane_slopes
 from .jit import device_jit, pixel_jit, prange
 from .lamps import LEAST_ALPHA, Lamp, lamp_at, lamp_place
@@ -115,11 +115,11 @@ def light_of_lamps(bvh, around, stack, p, n, towards, albedo, specular, roughnes
             pick = (pick - share) / (ONE - share)
     if chosen < 0:
         return light
+    arrives = ONE
     if around.shadows[chosen] != 0:
         start = begun(lifted(p, n, offset_m), way, offset_m)
-        if is_occluded(bvh, stack, start, sub(add(p, way), start)):
-            return Vec3(ZERO, ZERO, ZERO)
-    return scaled(light, total / kept)
+        arrives = visibility(bvh, stack, start, sub(add(p, way), start))
+    return scaled(light, arrives * total / kept)
 
 
 @device_jit

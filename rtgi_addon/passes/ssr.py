@@ -46,7 +46,6 @@ FILTER_RADIUS = 4           # steps: a window of 9x9
 FILTER_REACH = 0.7          # standard deviation of the filter over the blur of the lobe: 1 has 2 % less error on five scenes
                             # and makes blurred edges half as wide again, 0.5 has 2 % more and a third
 WEAK_STEP = 2               # rays of a pixel that the lattice cannot serve are those of this step: a quarter of `samples`
-RAY_OFFSET = 2e-5           # of the scene's size
 TILE_RAYS = 1 << 17         # rays between two looks at Esc
 MAX_SKY = (512, 1024)       # a mirror shows the world at the resolution of its map, up to this
 
@@ -195,10 +194,12 @@ def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
     mean_rise = 2 * (rise * cosine[:, None]).mean(0)
     rows = []
     for material in materials:
-        brightest = max(material.specular)
+        # colours count what is not there of a surface as black, and a hit is on what is there
+        specular = np.array(material.specular) / max(material.alpha, 1e-3)
+        brightest = specular.max()
         f0 = 0.04 + min(max((brightest - 0.08) / 0.12, 0), 1) * (brightest - 0.04)
         mean = np.interp(material.roughness**2, cosine, mean_rise)
-        rows.append([*(np.array(material.specular) / (f0 + (1 - f0) * mean)), material.roughness, f0])
+        rows.append([*(specular / (f0 + (1 - f0) * mean)), material.roughness, f0])
     return np.array(rows, np.float32).reshape(-1, 5)
 
 
@@ -209,8 +210,11 @@ def _surroundings(frame: Frame, geometry: Geometry, far_m: float) -> Surrounding
     blurred = shrink_map(frame.world.radiance)
     powers = [[*(light.power * light.diffuse_factor), *(light.power * light.glossy_factor)] for light in lights]
     material = np.clip(geometry.material, 0, max(len(frame.materials) - 1, 0)).astype(np.int32)
+    albedo = geometry.albedo
+    if geometry.cutouts is not None:
+        albedo = np.minimum(albedo / geometry.coverage(np.arange(len(geometry)))[:, None, None], 1)
     return Surroundings(
-        np.ascontiguousarray(geometry.albedo, np.float32), np.ascontiguousarray(geometry.emission, np.float32), material,
+        np.ascontiguousarray(albedo, np.float32), np.ascontiguousarray(geometry.emission, np.float32), material,
         substance_table(frame.materials or (Material("none"),)), np.array([lamp.kind for lamp in lamps], np.int64),
         np.array([lamp.places for lamp in lamps], np.float32).reshape(-1, 4, 3),
         np.array([lamp[2:] for lamp in lamps], np.float32).reshape(-1, 7), np.array(powers, np.float32).reshape(-1, 6),
@@ -245,7 +249,7 @@ class _Tracer:
         self.counts = {"rays": 0, "steps": 0, "hits": 0, "asked": 0, "traced_pixels": 0}
         self._params, self._context, self._seed, self._is_left_open = params, context, seed, fallback == "CONES"
         self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays,
-                            params.exact_rays and has_rays, has_rays, f32(fade_px), f32(RAY_OFFSET * frame.scale_m),
+                            params.exact_rays and has_rays, has_rays, f32(fade_px), f32(frame.ray_offset_m),
                             f32(reach_m))
         self.screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
         self._around = _surroundings(frame, geometry, reach_m)

@@ -170,7 +170,8 @@ def test_emission_in_a_mirror_is_light_without_a_bounce():
 
 def test_planner_leaves_reflections_out_where_nothing_is_glossy():
     frame = make_room_frame(24, 16)
-    matt = dataclasses.replace(frame, gbuffer=dataclasses.replace(frame.gbuffer, specular=np.zeros_like(frame.gbuffer.albedo)))
+    g = frame.gbuffer
+    matt = dataclasses.replace(frame, gbuffer=dataclasses.replace(g, specular=np.zeros_like(g.albedo)))
     plan = plan_frame(matt, default_settings(), CapturePlan())
     assert "ssr" not in plan.techniques
     assert dict(plan.left_out)["Screen-Space Reflections"] == "no surface in view is glossy"

@@ -1,4 +1,4 @@
-"""The glossy bounce in float64, as the equation reads: the lobe cut into many directions, each followed through all triangles.
+"""The glossy bounce in float64, as the equation reads: the lobe cut into many directions, each followed through triangles.
 
     L = F integral f(w) L_hit(w) dw / integral f(w) dw,   f = D G F(h) / (4 cos) with D and G of GGX,
     L_hit = albedo / pi * sum over lamps of I cos / r^2 V
