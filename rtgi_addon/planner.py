@@ -15,6 +15,7 @@ from .core.settings import Settings
 from .core.techniques import ALWAYS_ON
 from .passes import TECHNIQUES
 from .passes.base import Technique, Transport
+from .passes.ssr import NEGLIGIBLE
 
 CYCLES_VIEWS = 4            # lamps whose view Cycles renders; further ones are cast through the triangles
 # texels of a lamp's view: twice what the gather keeps, since a view also holds what the lamp does not light; with as many
@@ -134,6 +135,11 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
         return "there is no lamp"
     if name == "world" and frame.world.is_black:
         return "the world is black"
+    if name == "ssr" and not (frame.gbuffer.specular[mask] > NEGLIGIBLE).any():
+        return "no surface in view is glossy"
+    if name == "ssr" and not (frame.lights or not frame.world.is_black or frame.gbuffer.emission[mask].any()
+                              or (frame.geometry is not None and frame.geometry.emission.any())):
+        return "there is no light to reflect"
     if name == "rsm" and not any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views):
         return "no lamp lights a surface" if frame.lights else "there is no lamp"
     return None

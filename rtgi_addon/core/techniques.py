@@ -70,7 +70,39 @@ class RsmParams(Params):
         True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing")
 
 
-TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams}
+@dataclass(frozen=True)
+class SsrParams(Params):
+    """Screen-space reflections: glossy surfaces show what the picture, and beyond it the scene, holds."""
+
+    method: str = param(
+        "HIERARCHY", "How a ray is followed through the picture",
+        choices=(("HIERARCHY", "Hierarchy", "Every pixel that the ray crosses, skipping empty parts by a pyramid of depths"),
+                 ("DDA", "Every pixel", "Every pixel that the ray crosses; the same hits as the hierarchy, in more steps"),
+                 ("LINEAR", "Even steps", "Steps of a fixed length, as first published: thin things fall between two")))
+    fallback: str = param(
+        "RAYS", "What answers where the picture cannot: off the frame, and behind what the camera sees",
+        choices=(("RAYS", "Rays", "Rays through the scene's triangles, their hits lit by the lamps"),
+                 ("WORLD", "World", "The world alone; black where it is black"),
+                 ("CONES", "Voxel cones", "The glossy light of the voxel cones, where that technique runs; else rays")))
+    exact_rays: bool = param(
+        False, "Trace every ray through the triangles instead of the picture; the yardstick for hits in the picture")
+    samples: int = param(
+        16, "Rays for each block of 4x4 pixels, at least one for each smooth pixel; noise falls with the square root",
+        low=1, high=4096, soft_high=256)
+    lattice_px: int = param(
+        4, "Largest distance between traced pixels on rough surfaces; pixels between them are interpolated",
+        low=1, high=4, unit="px")
+    step_px: int = param(4, "Length of a step where rays take even steps", low=1, high=64, unit="px")
+    thickness: float = param(
+        0.02, "Thickness of what the camera sees where no triangles are asked, as a share of the scene's size: too thin "
+        "leaves holes, too thick smears", low=0.0, high=1.0)
+    edge_fade: float = param(
+        0.05, "Width of the frame's edge over which hits in the picture fade into what answers beyond it, as a share of its "
+        "shorter side", low=0.0, high=0.5)
+
+
+TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams,
+                                             "ssr": SsrParams}
 
 # these run in every render and have no toggle
 ALWAYS_ON = ("direct", "world")
@@ -79,6 +111,7 @@ LABELS: dict[str, str] = {
     "direct": "Direct Light",
     "world": "World Light",
     "rsm": "Reflective Shadow Maps",
+    "ssr": "Screen-Space Reflections",
 }
 
 # a preset decides exactly these; every other parameter is the user's own
@@ -87,16 +120,19 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 8, "rays": 16},
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
+        "ssr": {"samples": 8},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 4, "rays": 32},
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
+        "ssr": {"samples": 16},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},
         "world": {"lattice_px": 2, "rays": 64},
         "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
+        "ssr": {"samples": 64},
     },
 }
 

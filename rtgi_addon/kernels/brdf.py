@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from .jit import device_jit, inline_jit
-from .vec3 import ONE, ZERO, add, dot, f32, scaled
+from .vec3 import ONE, ZERO, Vec3, add, dot, f32, normalized_or, scaled, tangent_frame, to_world
 
 INV_PI = f32(1 / math.pi)
 HALF = f32(0.5)
@@ -60,6 +60,32 @@ def ggx_lobe(normal, fixed, other, alpha2, f0=F0):
               + cos_f * math.sqrt(cos_o * cos_o * (ONE - alpha2) + alpha2))
     return (alpha2 * INV_PI / (t * t + f32(1e-12)) * HALF / (shadow + f32(1e-9)) * cos_o
             * fresnel(cos_d, f0) / fresnel(cos_f, f0))
+
+
+@device_jit
+def sample_lobe(normal, fixed, alpha, u, v):
+    """(direction, weight): a direction drawn from the lobe without Fresnel, and the lobe over its density, at most about 1.
+
+    Half vectors that `fixed` sees, of those only what reflects above the surface ("bounded VNDF", Eto and Tokuyoshi 2023,
+    Eqs. 5 to 7; drawn on a spherical cap as in Dupuy and Benyoub 2023). D cancels in the weight, so that alpha may be 0:
+    then it is the mirror direction. `fixed` must be on the surface's side.
+    """
+    tangent, bitangent = tangent_frame(normal)
+    x, y, z = dot(fixed, tangent), dot(fixed, bitangent), min(max(dot(fixed, normal), f32(1e-4)), ONE)
+    alpha2, sin2 = alpha * alpha, x * x + y * y
+    size = math.sqrt(alpha2 * sin2 + z * z)
+    standard = Vec3(alpha * x / size, alpha * y / size, z / size)
+    spread = (ONE + math.sqrt(sin2)) * (ONE + math.sqrt(sin2))
+    k = (ONE - alpha2) * spread / (spread + alpha2 * z * z)
+    phi, lowest = f32(2 * math.pi) * u, k * standard.z
+    cap_z = (ONE - v) * (ONE + lowest) - lowest
+    cap_r = math.sqrt(min(max(ONE - cap_z * cap_z, ZERO), ONE))
+    h = normalized_or(Vec3(alpha * (cap_r * math.cos(phi) + standard.x), alpha * (cap_r * math.sin(phi) + standard.y),
+                           cap_z + standard.z), Vec3(ZERO, ZERO, ONE))
+    twice = f32(2) * (h.x * x + h.y * y + h.z * z)
+    out = Vec3(twice * h.x - x, twice * h.y - y, max(twice * h.z - z, f32(1e-5)))
+    shadow = out.z * math.sqrt(z * z * (ONE - alpha2) + alpha2) + z * math.sqrt(out.z * out.z * (ONE - alpha2) + alpha2)
+    return normalized_or(to_world(out, tangent, bitangent, normal), normal), out.z * (k * z + size) / shadow
 
 
 @functools.cache

@@ -1,0 +1,276 @@
+"""Reflections in the picture: rays drawn from the glossy lobe and followed through what the camera sees.
+
+A hit brings home what the hit pixel sends out, textures and shadows included. A ray that the picture cannot answer, because
+it goes behind something or out of the frame, is left to `scene_light` from the place where the picture lost it.
+
+A pixel's result is the mean of the light over its lobe, sum(w L) / sum(w) with w the lobe over its density, so that even
+light comes back as it is, to the last digit. Both sums are kept until they have been filtered: of one ray alone the
+quotient would be L, whatever w, and too bright by 17 % for rough surfaces at grazing view. The colour of the lobe is
+multiplied later.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .brdf import fit_lobe, fresnel, sample_lobe
+from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y, width_at
+from .jit import device_jit, pixel_jit, prange
+from .sampling import r2_sequence, uniform
+from .screen import HALF, seen_vs, turn_to_view, turn_to_world, view_vector
+from .screen_rays import ENDED, HIT, distance_at, march, march_evenly, ray_in_picture
+from .shadow import ORTHOGRAPHIC
+from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, lifted, load_pixel, normalized_or, scaled
+
+KNOWN, SKY, ASK = 0, 1, 2             # what a ray still needs: nothing, the world, the triangles
+BLOCK = 64                  # pixels that one thread follows in a row
+BACK_PX = 1.5               # pixels by which a ray through the triangles starts before the picture lost it
+# columns of a pixel's results, after the light of hit surfaces and that of emissive surfaces and the world by colour:
+SHARE, WEIGHT, NEARNESS = 6, 7, 8     # how much of the lobe is known, its sum (all before are divided by it at the end), and
+                                      # the mean of 1 / length of its rays in 1/m
+MIRROR_ALPHA = f32(1e-4)    # roughness 0.01: the lobe is a tenth of a pixel wide
+LEAST_COSINE = f32(0.02)    # of viewer and normal: below it the normal is turned towards the viewer
+
+
+class Gloss(NamedTuple):
+    """What the camera's pixels send out and how they reflect.
+
+    leaving (H, W, 3) float32 W/(m2 sr): light that leaves each pixel after direct light has reached it; emission (H, W, 3):
+    its own; specular (H, W, 3), roughness (H, W) float32; albedos: `brdf.albedo_table()`.
+    """
+
+    leaving: np.ndarray
+    emission: np.ndarray
+    specular: np.ndarray
+    roughness: np.ndarray
+    albedos: np.ndarray
+
+
+class Rules(NamedTuple):
+    """How rays are followed.
+
+    top: highest level of the pyramid that is used, 0 for every pixel, -1 for even steps of `step_px`; stops_hidden: see
+    `screen_rays.march`; asks_all: the picture is not asked; asks: what is left goes to the triangles, else it is the
+    world's; fade_px: width of the frame's edge over which hits fade; offset_m: off surfaces; reach_m: leads out of picture
+    and scene.
+    """
+
+    top: int
+    step_px: float
+    stops_hidden: bool
+    asks_all: bool
+    asks: bool
+    fade_px: np.float32
+    offset_m: np.float32
+    reach_m: np.float32
+
+
+class Rays(NamedTuple):
+    """Rays of a list of pixels, R of them, and what they bring.
+
+    start, direction (R, 3) float32 m: where the picture lost the ray, unit vector; weight (R,): lobe over density, 1 in the
+    mean; answer (R,) uint8: KNOWN, SKY or ASK; share (R,): how much of `light` (R, 6) the picture gave, the rest being
+    still to come; length_m (R,) from the pixel to the hit, or to `start` as long as there is none; steps (R,) int32.
+    """
+
+    start: np.ndarray
+    direction: np.ndarray
+    weight: np.ndarray
+    answer: np.ndarray
+    share: np.ndarray
+    light: np.ndarray
+    length_m: np.ndarray
+    steps: np.ndarray
+
+
+def make_rays(count: int) -> Rays:
+    """Room for `count` rays."""
+    return Rays(np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32), np.zeros(count, np.float32),
+                np.zeros(count, np.uint8), np.zeros(count, np.float32), np.zeros((count, 6), np.float32),
+                np.zeros(count, np.float32), np.zeros(count, np.int32))
+
+
+@device_jit
+def plane_normal(s, planes, i, j):
+    """Unit normal in the world of the plane that pixel (i, j) sees, on the viewer's side."""
+    across, down = planes[i, j, SLOPE_X] / s.step_x, -planes[i, j, SLOPE_Y] / s.step_y
+    if s.projection == ORTHOGRAPHIC:
+        n = Vec3(-across, -down, ONE)
+    else:
+        # the plane is n . point = c with h = (n.x x + n.y y - n.z) / c at image place (x, y), and c < 0 on the viewer's side
+        x, y = s.left + (f32(j) + HALF) * s.step_x, s.top - (f32(i) + HALF) * s.step_y
+        n = Vec3(-across, -down, planes[i, j, HEIGHT] - across * x - down * y)
+    return normalized_or(turn_to_world(s, n), Vec3(ZERO, ZERO, ONE))
+
+
+@device_jit
+def usable_normal(n, plane, viewer):
+    """Normal n, turned so that viewer and mirror direction are above the surface, as Cycles turns it.
+
+    Bump maps and smooth shading may put the mirror direction below the plane; the result lies between n and the plane's
+    normal such that the mirror direction just clears it.
+    """
+    facing = dot(n, viewer)
+    if not facing >= LEAST_COSINE:
+        n = normalized_or(along(n, viewer, LEAST_COSINE - facing), viewer)     # the viewer's, for a normal of NaN
+        facing = dot(n, viewer)
+    up = max(dot(viewer, plane), ZERO)
+    least = min(f32(0.9) * up, f32(0.01))
+    if f32(2) * facing * dot(n, plane) - up >= least:
+        return n
+    side = normalized_or(along(n, plane, -dot(n, plane)), n)
+    # in the plane of side and plane normal n = (sin f, cos f), and the mirror direction rises by r cos(2 f - viewer's angle)
+    across = dot(viewer, side)
+    r = max(math.sqrt(across * across + up * up), f32(1e-6))
+    f = HALF * (math.atan2(across, up) + math.acos(min(least / r, ONE)))
+    return add(scaled(side, math.sin(f)), scaled(plane, math.cos(f)))
+
+
+@device_jit
+def lit_there(s, planes, gloss, column, row, h, slope_x, slope_y, light):
+    """Light that the picture shows at a place of height h into `light` (6,); False where no pixel shows that surface.
+
+    Of the four pixels around those are interpolated that show the surface, whose slopes are known: their planes and it agree
+    to a pixel's width, at the place and at the pixel. At the foot of a wall the floor passes through the same place.
+    """
+    height, width = planes.shape[0], planes.shape[1]
+    left, top = int(math.floor(column - HALF)), int(math.floor(row - HALF))
+    fx, fy = column - HALF - f32(left), row - HALF - f32(top)
+    least, total = width_at(s, h), ZERO
+    for c in range(6):
+        light[c] = ZERO
+    for y in range(max(top, 0), min(top + 2, height)):
+        for x in range(max(left, 0), min(left + 2, width)):
+            dx, dy = f32(x) + HALF - column, f32(y) + HALF - row
+            there = planes[y, x, HEIGHT] - h - slope_x * dx - slope_y * dy
+            tilt = abs(planes[y, x, SLOPE_X] - slope_x) + abs(planes[y, x, SLOPE_Y] - slope_y)
+            here = planes[y, x, HEIGHT] - h - planes[y, x, SLOPE_X] * dx - planes[y, x, SLOPE_Y] * dy
+            if not max(max(abs(there), abs(here)), tilt) <= least:
+                continue
+            # a place at the very centre of a neighbour may have nothing else to go by
+            w = (fx if x > left else ONE - fx) * (fy if y > top else ONE - fy) + f32(1e-6)
+            total += w
+            for c in range(3):
+                light[c] += w * gloss.leaving[y, x, c]
+                light[3 + c] += w * gloss.emission[y, x, c]
+    if not total > ZERO:
+        return False
+    for c in range(6):
+        light[c] /= total
+    return True
+
+
+@device_jit
+def edge_fade(s, column, row, fade_px):
+    """1 inside the picture, smoothly 0 at its edge over `fade_px`."""
+    if fade_px <= ZERO:
+        return ONE
+    height, width = s.depth.shape
+    t = min(min(column, f32(width) - column), min(row, f32(height) - row)) / fade_px
+    t = min(max(t, ZERO), ONE)
+    return t * t * (f32(3) - f32(2) * t)
+
+
+@device_jit
+def place_in_block(i, j):
+    """Number of a pixel in its block of 4x4 along a Morton curve: neighbours take neighbouring points of a sequence."""
+    return (j & 1) | ((i & 1) << 1) | ((j & 2) << 1) | ((i & 2) << 2)
+
+
+@device_jit
+def _reflect_block(index, begin, end, samples, s, pyramid, gloss, rules, seed, rays):
+    """Draw and follow the rays of the pixels begin to end of `index`.
+
+    All of it in one function: the tuples of arrays are hundreds of numbers that each further call would copy.
+    """
+    width, reach = s.depth.shape[1], np.float64(rules.reach_m)
+    for m in range(begin, end):
+        i, j = index[m] // width, index[m] % width
+        p = load_pixel(s.position_ws, i, j)
+        viewer, plane = view_vector(s, p), plane_normal(s, pyramid.planes, i, j)
+        n = usable_normal(load_pixel(s.normal_ws, i, j), plane, viewer)
+        origin, start_vs = lifted(p, plane, rules.offset_m), seen_vs(s, i, j)
+        alpha = gloss.roughness[i, j] * gloss.roughness[i, j]
+        mirror = along(scaled(viewer, -ONE), n, f32(2) * dot(n, viewer))
+        f0, gain, shift_u, shift_v, place = ONE, ONE, ZERO, ZERO, 0
+        if alpha >= MIRROR_ALPHA:
+            reflectance = max(gloss.specular[i, j, 0], max(gloss.specular[i, j, 1], gloss.specular[i, j, 2]))
+            cosine = max(dot(n, viewer), LEAST_COSINE)
+            f0, gain = fit_lobe(reflectance, cosine, alpha, gloss.albedos)
+            gain /= fresnel(cosine, f0)
+            # pixels of a block of 4x4 share one shifted sequence, so that a filter over them sees it whole
+            block, place = (i >> 2) * 65536 + (j >> 2), place_in_block(i, j)
+            shift_u, shift_v = uniform(block, seed, 1), uniform(block, seed, 2)
+        for k in range(samples):
+            r, d, weight = m * samples + k, mirror, ONE
+            if alpha >= MIRROR_ALPHA:
+                u, v = r2_sequence(k * 16 + place, shift_u, shift_v)
+                d, weight = sample_lobe(n, viewer, alpha, u, v)
+                weight *= gain * fresnel(max(dot(normalized_or(add(viewer, d), n), viewer), ZERO), f0)
+            rays.direction[r, 0], rays.direction[r, 1], rays.direction[r, 2] = d.x, d.y, d.z
+            rays.weight[r] = weight
+            if not dot(d, plane) > ZERO:         # below the surface: Cycles lets such light be lost
+                rays.answer[r], rays.share[r], rays.length_m[r] = KNOWN, ONE, rules.reach_m
+                continue
+            share, length_m, lost_m, answer = ZERO, ZERO, ZERO, ASK if rules.asks else SKY
+            if not rules.asks_all:
+                ray = ray_in_picture(s, start_vs, turn_to_view(s, d), reach)
+                if rules.top < 0:
+                    what, at_i, at_j, at, rays.steps[r] = march_evenly(pyramid, ray, i, j, rules.step_px, rules.stops_hidden)
+                else:
+                    what, at_i, at_j, at, rays.steps[r] = march(pyramid, ray, i, j, rules.top, rules.stops_hidden)
+                if what == HIT:
+                    column, row, h = f32(ray.x + at * ray.dx), f32(ray.y + at * ray.dy), f32(ray.h + at * ray.dh)
+                    slope_x, slope_y = pyramid.planes[at_i, at_j, SLOPE_X], pyramid.planes[at_i, at_j, SLOPE_Y]
+                    if not lit_there(s, pyramid.planes, gloss, column, row, h, slope_x, slope_y, rays.light[r]):
+                        for c in range(3):
+                            rays.light[r, c] = gloss.leaving[at_i, at_j, c]
+                            rays.light[r, 3 + c] = gloss.emission[at_i, at_j, c]
+                    share, length_m = edge_fade(s, column, row, rules.fade_px), f32(distance_at(ray, at))
+                elif what == ENDED and ray.dh <= 0.0:    # clear to behind the farthest thing that the camera sees
+                    answer = SKY
+                longest = max(abs(ray.dx), abs(ray.dy))
+                if longest > 0.0:
+                    lost_m = f32(distance_at(ray, max(at - BACK_PX / longest, 0.0)))
+            rays.answer[r], rays.share[r] = KNOWN if share >= ONE else answer, share
+            rays.length_m[r] = length_m if share > ZERO else lost_m
+            start = along(begun(origin, d, rules.offset_m), d, lost_m)
+            rays.start[r, 0], rays.start[r, 1], rays.start[r, 2] = start.x, start.y, start.z
+
+
+@pixel_jit
+def reflect_pixels(index, samples, screen, pyramid, gloss, rules, seed, rays):
+    """Draw `samples` rays from the lobe of each pixel of `index` (M,) and follow them through the picture into `rays`.
+
+    Ray m * samples + k is sample k of pixel m; `rays` must come from `make_rays`.
+    """
+    blocks = (len(index) + BLOCK - 1) // BLOCK
+    for block in prange(blocks):
+        _reflect_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, pyramid, gloss, rules,
+                       seed, rays)
+
+
+@pixel_jit
+def collect_rays(index, samples, rays, is_open, nearest_m, results):
+    """Sum the rays of each pixel of `index` (M,) into its line of `results` (H, W, NEARNESS + 1).
+
+    `is_open`: what the picture did not give is left out, and SHARE tells how much was given. Lengths below `nearest_m` count
+    as that.
+    """
+    width = results.shape[1]
+    for m in prange(len(index)):
+        out = results[index[m] // width, index[m] % width]
+        for c in range(NEARNESS + 1):
+            out[c] = ZERO
+        for r in range(m * samples, (m + 1) * samples):
+            known = rays.share[r] if is_open else ONE
+            w = rays.weight[r] / f32(samples)
+            for c in range(6):
+                out[c] += w * (known * rays.light[r, c] if is_open else rays.light[r, c])
+            out[SHARE] += w * known
+            out[WEIGHT] += w
+            out[NEARNESS] += w / max(rays.length_m[r], nearest_m)
+        out[NEARNESS] /= max(out[WEIGHT], f32(1e-20))

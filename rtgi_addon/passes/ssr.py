@@ -1,0 +1,289 @@
+"""Screen-space reflections: what a glossy surface reflects, found in the picture itself and, where that ends, in the scene.
+
+The glossy bounce that leaves a pixel towards the viewer is
+
+    L = F * integral of f(w) L_hit(w) dw,  integral of f(w) dw = 1
+
+with f the GGX lobe around the mirror direction, F the reflectance that Cycles' Glossy Color pass tells (Fresnel, colour and
+multiple scattering are in it, so nothing else is multiplied), and L_hit the light of the lamps, of the world and of emissive
+surfaces that the hit surface sends back. Rays are drawn from the lobe (`kernels.brdf.sample_lobe`), followed through the
+picture (`kernels.screen_rays`) and, where it cannot answer, through the triangles (`kernels.reflect`).
+
+One bounce: L_hit is taken from what earlier techniques found of direct light, never from a bounce. Its glossy part is the
+one towards the camera, where the picture is asked. Light that the ray finds at its end without any bounce, the world's and
+that of emissive surfaces, is Cycles' Glossy Direct and goes into WORLD_GLOSSY.
+
+Rough surfaces are traced on a lattice and the noise is averaged over what blurs anyway (`kernels.gloss_filter`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..core.frame import Frame, Geometry, Material
+from ..core.techniques import SsrParams
+from ..core.transforms import Projection, normalized
+from ..kernels.brdf import GAIN_STEPS, albedo_table
+from ..kernels.bvh import Bvh, build_bvh
+from ..kernels.depth_pyramid import build_pyramid
+from ..kernels.gloss_filter import FILTERED, blur_of_pixels, smooth_reflections, spread_reflections
+from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Gloss, Rules, collect_rays, make_rays, reflect_pixels
+from ..kernels.scene_light import Surroundings, ask_scene
+from ..kernels.vec3 import f32
+from .base import Context, PassResult, Technique, Transport
+from .direct import pack_lamp
+from .screen import screen_of
+from .world import shrink_map
+
+NEGLIGIBLE = 1e-3           # Glossy Color below it is left out: a thousandth of what is reflected
+SLACK_PX = 0.5              # thickness of surfaces where the triangles know better; thicker ones stand in the way of rays
+                            # that pass behind them, thinner ones leave more rays to the triangles (1 % for half of it)
+STEPS = ((0.12, 4), (0.03, 2))      # GGX alpha from which a surface is traced at every fourth, every second pixel
+BLOCK_PIXELS = 16           # `samples` counts rays for this many pixels, 4x4
+FILTER_RADIUS = 4           # steps: a window of 9x9
+FILTER_REACH = 0.7          # standard deviation of the filter over the blur of the lobe: 1 has 2 % less error on five scenes
+                            # and makes blurred edges half as wide again, 0.5 has 2 % more and a third
+WEAK_STEP = 2               # rays of a pixel that the lattice cannot serve are those of this step: a quarter of `samples`
+TILE_RAYS = 1 << 17         # rays between two looks at Esc
+MAX_SKY = (512, 1024)       # a mirror shows the world at the resolution of its map, up to this
+
+_TOP = {"HIERARCHY": 99, "DDA": 0, "LINEAR": -1}
+
+
+def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0) -> PassResult:
+    """The glossy bounce, and the world and emissive surfaces as glossy surfaces show them.
+
+    Parameters
+    ----------
+    frame : Frame
+        With `geometry` for the fallback RAYS; without it the world alone answers where the picture cannot.
+    params : SsrParams
+    context : Context
+        `light` holds what earlier techniques found of direct light at the camera's pixels, and for the fallback CONES the
+        glossy bounce that is to be taken over.
+    seed : int
+
+    Returns
+    -------
+    PassResult
+        BOUNCE_GLOSSY: (H, W, 3) float32 W/(m2 sr), light that met one surface before; WORLD_GLOSSY: light of the world and
+        of emissive surfaces that met none. Diagnostics: rays, steps in the picture, traced pixels, shares of the rays that
+        hit in the picture and that the triangles answered, share of the glossy pixels that no neighbour could serve.
+
+    Raises
+    ------
+    Cancelled
+        When the user asked to stop.
+
+    Notes
+    -----
+    Holds exactly: even light all around comes back as Glossy Color times its radiance; linear in light; zero for no light;
+    HIERARCHY and DDA give the same picture; the same bits on any number of threads.
+    Ignores bounces after the first, refraction, and what is invisible to the camera but not to reflections.
+    """
+    g = frame.gbuffer
+    step = step_of_pixels(frame, params.lattice_px)
+    if not step.any():
+        return _coloured(frame, np.zeros((*g.shape, FILTERED), np.float32), False, context, {"rays": 0})
+    fallback = _fallback_of(frame, params, context)
+    tracer = _Tracer(frame, params, context, fallback, seed)
+    traced = traced_pixels(step)
+    tracer.trace(step, traced)
+    context.checkpoint("Filter reflections", 0.0)
+    surface = (tracer.screen, g.roughness)
+    blur = blur_of_pixels(tracer.results, *surface, step, traced, f32(FILTER_REACH))
+    smooth = smooth_reflections(tracer.results, blur, traced, *surface, step, traced, FILTER_RADIUS)
+    weak = np.zeros(step.shape, np.bool_)
+    spread_reflections(smooth, blur, *surface, step, traced, weak)
+    if weak.any():
+        tracer.trace(np.where(weak, WEAK_STEP, 0), weak)
+        traced |= weak
+        step = np.where(weak, 1, step)
+        blur = blur_of_pixels(tracer.results, *surface, step, traced, f32(FILTER_REACH))
+        smooth[weak] = smooth_reflections(tracer.results, blur, weak, *surface, step, traced, FILTER_RADIUS)[weak]
+    weak_share = float(np.count_nonzero(weak) / np.count_nonzero(step))
+    return _coloured(frame, smooth, fallback == "CONES", context, tracer.diagnostics | {"weak_share": weak_share})
+
+
+def _coloured(frame: Frame, smooth: np.ndarray, adds_earlier: bool, context: Context,
+              diagnostics: dict[str, float]) -> PassResult:
+    """The result from means over the lobe (H, W, FILTERED); what is not known of it is filled with earlier glossy light."""
+    sums = np.maximum(smooth[..., WEIGHT], np.float32(1e-6))
+    colour = frame.gbuffer.specular / sums[..., None]
+    if not frame.keeps_energy:
+        colour *= share_not_hidden(frame)[..., None]
+    shines = not frame.world.is_black or frame.gbuffer.emission.any() or (
+        frame.geometry is not None and frame.geometry.emission.any())
+    light = {Transport.BOUNCE_GLOSSY: smooth[..., :3] * colour,
+             Transport.WORLD_GLOSSY: smooth[..., 3:6] * colour if shines else np.zeros_like(colour)}
+    earlier = [t for t in light if adds_earlier and t in context.light]
+    for transport in earlier:
+        light[transport] += np.clip(1 - smooth[..., SHARE] / sums, 0, 1)[..., None] * context.light[transport]
+    return PassResult(light, diagnostics=diagnostics, takes_over=frozenset(earlier))
+
+
+def step_of_pixels(frame: Frame, lattice_px: int) -> np.ndarray:
+    """(H, W) int64: the lattice that each pixel belongs to, 1 for every pixel; 0 where nothing is reflected."""
+    surface = frame.gbuffer
+    alpha = surface.roughness**2
+    step = np.ones(surface.shape, np.int64)
+    for least, size in reversed(STEPS):
+        step[alpha >= least] = min(size, lattice_px)
+    r, g, b = (surface.specular[..., c] for c in range(3))
+    step[~(surface.mask & (np.maximum(np.maximum(r, g), b) > NEGLIGIBLE))] = 0
+    return step
+
+
+def traced_pixels(step: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the pixels that lie on their own lattice."""
+    rows, columns = np.arange(step.shape[0])[:, None], np.arange(step.shape[1])[None]
+    safe = np.maximum(step, 1)
+    return (step > 0) & (rows % safe == 0) & (columns % safe == 0)
+
+
+def _fallback_of(frame: Frame, params: SsrParams, context: Context) -> str:
+    """The fallback that this frame allows: cones need their light, rays need triangles."""
+    fallback = params.fallback
+    if fallback == "CONES" and Transport.BOUNCE_GLOSSY not in context.light:
+        fallback = "RAYS"
+    return "WORLD" if fallback == "RAYS" and frame.geometry is None else fallback
+
+
+def leaving_light(frame: Frame, context: Context) -> np.ndarray:
+    """(H, W, 3) float32 W/(m2 sr): what each pixel sends out after direct light has reached it."""
+    arrived = [context.light[t] for t in (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE)
+               if t in context.light]
+    out = frame.gbuffer.albedo * np.float32(1 / math.pi)
+    out *= sum(arrived[1:], start=arrived[0]) if arrived else np.float32(0)
+    if Transport.DIRECT_GLOSSY in context.light:
+        out += context.light[Transport.DIRECT_GLOSSY]
+    return out
+
+
+def share_not_hidden(frame: Frame) -> np.ndarray:
+    """(H, W) float32: what a lobe of single scattering reflects of what Glossy Color says.
+
+    Cycles' pass does not tell what the microfacets hide from each other: 12 % at roughness 0.5 and grazing view.
+    """
+    g = frame.gbuffer
+    if frame.camera.projection is Projection.ORTHOGRAPHIC:
+        viewer = frame.camera.world_from_view[:3, 2].astype(np.float32)
+    else:
+        viewer = normalized(frame.camera.position_ws.astype(np.float32) - g.position_ws)
+    cosine, alpha = (g.normal_ws * viewer).sum(-1), g.roughness**2
+    table = np.minimum(albedo_table(True)[..., 0], 1)
+    x, y = (np.clip(v * GAIN_STEPS - 0.5, 0, GAIN_STEPS - 1.001) for v in (cosine, alpha))
+    i, j = x.astype(np.int64), y.astype(np.int64)
+    s, t = x - i, y - j
+    return ((1 - s) * ((1 - t) * table[i, j] + t * table[i, j + 1])
+            + s * ((1 - t) * table[i + 1, j] + t * table[i + 1, j + 1])).astype(np.float32)
+
+
+def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
+    """(M, 5) float32 of materials at hits: colour, roughness, reflectance F0 at normal incidence.
+
+    A material's `specular` is its mean over all directions. Towards one direction it reflects colour (F0 + (1 - F0) r),
+    with r the rise at that angle, and the colour is such that the mean comes out. Bright ones are metals, see
+    `brdf.fit_lobe`.
+    """
+    table = albedo_table(True).astype(np.float64)
+    rise = table[..., 1] / np.maximum(table[..., 0], 1e-3)
+    cosine = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
+    mean_rise = 2 * (rise * cosine[:, None]).mean(0)
+    rows = []
+    for material in materials:
+        # colours count what is not there of a surface as black, and a hit is on what is there
+        specular = np.array(material.specular) / max(material.alpha, 1e-3)
+        brightest = specular.max()
+        f0 = 0.04 + min(max((brightest - 0.08) / 0.12, 0), 1) * (brightest - 0.04)
+        mean = np.interp(material.roughness**2, cosine, mean_rise)
+        rows.append([*(specular / (f0 + (1 - f0) * mean)), material.roughness, f0])
+    return np.array(rows, np.float32).reshape(-1, 5)
+
+
+def _surroundings(frame: Frame, geometry: Geometry, far_m: float) -> Surroundings:
+    lamps = [pack_lamp(light, far_m) for light in frame.lights]
+    lights = frame.lights
+    sky = shrink_map(frame.world.radiance, MAX_SKY)
+    blurred = shrink_map(frame.world.radiance)
+    powers = [[*(light.power * light.diffuse_factor), *(light.power * light.glossy_factor)] for light in lights]
+    material = np.clip(geometry.material, 0, max(len(frame.materials) - 1, 0)).astype(np.int32)
+    albedo = geometry.albedo
+    if geometry.cutouts is not None:
+        albedo = np.minimum(albedo / geometry.coverage(np.arange(len(geometry)))[:, None, None], 1)
+    return Surroundings(
+        np.ascontiguousarray(albedo, np.float32), np.ascontiguousarray(geometry.emission, np.float32), material,
+        substance_table(frame.materials or (Material("none"),)), np.array([lamp.kind for lamp in lamps], np.int64),
+        np.array([lamp.places for lamp in lamps], np.float32).reshape(-1, 4, 3),
+        np.array([lamp[2:] for lamp in lamps], np.float32).reshape(-1, 7), np.array(powers, np.float32).reshape(-1, 6),
+        np.array([light.casts_shadow for light in lights], np.uint8), sky, blurred,
+        bool(sky.any() or geometry.emission.any()))
+
+
+def _reach_m(frame: Frame, bvh: Bvh) -> float:
+    """A length in m that leads from every pixel out of all triangles and past the farthest thing seen."""
+    seen = frame.gbuffer.position_ws              # 0 where nothing is seen
+    far = [seen.max(initial=0), -seen.min(initial=0), np.abs(frame.camera.position_ws).max()]
+    if len(bvh.corners):
+        far += [np.abs(bvh.boxes[0, :, :3].min(0)).max(), np.abs(bvh.boxes[0, :, 3:].max(0)).max()]
+    # twice the diagonal of the cube around the origin that holds them all
+    return 2 * 2 * math.sqrt(3) * float(max(far)) + 1e-3 * frame.scale_m
+
+
+class _Tracer:
+    """Traces pixels of a frame, tile by tile; keeps their results (H, W, NEARNESS + 1) and counts of what it took."""
+
+    def __init__(self, frame: Frame, params: SsrParams, context: Context, fallback: str, seed: int):
+        g = frame.gbuffer
+        geometry = frame.geometry if frame.geometry is not None else Geometry.empty()
+        has_rays = fallback == "RAYS"
+        screen = screen_of(frame)
+        pyramid = build_pyramid(screen, SLACK_PX, 0.0 if has_rays else params.thickness * frame.scale_m)
+        gloss = Gloss(leaving_light(frame, context), g.emission, g.specular, g.roughness, albedo_table(frame.keeps_energy))
+        bvh = context.bvh(frame.geometry) if has_rays else build_bvh(np.zeros((0, 3, 3), np.float32))
+        reach_m = _reach_m(frame, bvh)
+        fade_px = params.edge_fade * min(g.shape)
+        self.results = np.zeros((*g.shape, NEARNESS + 1), np.float32)
+        self.counts = {"rays": 0, "steps": 0, "hits": 0, "asked": 0, "traced_pixels": 0}
+        self._params, self._context, self._seed, self._is_left_open = params, context, seed, fallback == "CONES"
+        self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays,
+                            params.exact_rays and has_rays, has_rays, f32(fade_px), f32(frame.ray_offset_m),
+                            f32(reach_m))
+        self.screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
+        self._around = _surroundings(frame, geometry, reach_m)
+
+    def trace(self, step: np.ndarray, wanted: np.ndarray) -> None:
+        """Reflect the `wanted` pixels (H, W) bool with the rays that a pixel of their step takes."""
+        for size in np.unique(step[wanted]):
+            index = np.flatnonzero(wanted & (step == size))
+            samples = max(1, round(self._params.samples * int(size) ** 2 / BLOCK_PIXELS))
+            tile = max(TILE_RAYS // samples, 1)
+            for first in range(0, len(index), tile):
+                self._context.checkpoint("Reflections", first / len(index))
+                self._trace_tile(index[first:first + tile], samples)
+
+    def _trace_tile(self, index: np.ndarray, samples: int) -> None:
+        rays = make_rays(len(index) * samples)
+        reflect_pixels(index, samples, self.screen, self._pyramid, self._gloss, self._rules, self._seed, rays)
+        if not self._is_left_open:
+            asked = np.flatnonzero(rays.answer != KNOWN)
+            ask_scene(asked, index, samples, self.screen, self._pyramid.planes, self._gloss, self._bvh, self._around,
+                      self._rules, self._seed, rays)
+        collect_rays(index, samples, rays, self._is_left_open, self._rules.offset_m, self.results)
+        for name, number in (("rays", len(rays.answer)), ("steps", int(rays.steps.sum())),
+                             ("hits", np.count_nonzero(rays.share)), ("asked", np.count_nonzero(rays.answer == ASK)),
+                             ("traced_pixels", len(index))):
+            self.counts[name] += number
+
+    @property
+    def diagnostics(self) -> dict[str, float]:
+        """Rays, steps in the picture, and the shares of rays that hit there and that the triangles were asked for."""
+        rays = max(self.counts["rays"], 1)
+        return {"rays": self.counts["rays"], "steps": self.counts["steps"], "traced_pixels": self.counts["traced_pixels"],
+                "hit_share": self.counts["hits"] / rays, "asked_share": self.counts["asked"] / rays}
+
+
+TECHNIQUE = Technique("ssr", "Screen-Space Reflections", SsrParams, compute_ssr,
+                      frozenset({Transport.BOUNCE_GLOSSY, Transport.WORLD_GLOSSY}), needs_geometry=True)

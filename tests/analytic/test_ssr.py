@@ -1,0 +1,186 @@
+"""Reflections against what geometry says: mirrors, even light, blur that grows with distance."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rtgi_addon.core.frame import Geometry, World
+from rtgi_addon.core.synthetic import cast_view, make_room_frame, nearest_hit
+from rtgi_addon.core.techniques import SsrParams
+from rtgi_addon.core.transforms import Camera, Projection
+from rtgi_addon.passes.base import Context, Transport
+from rtgi_addon.passes.ssr import compute_ssr
+from tests.mirror_frames import camera_at, glossy, lit, on_floor, painted, pixel_places, room_from_above, scene_frame, wall
+from tests.plane_frames import geometry_of, quad
+
+HALF_PIXEL = 0.5
+CAMERAS = {"perspective": {}, "shifted": {"shift": (0.25, -0.2)},
+           "orthographic": {"projection": Projection.ORTHOGRAPHIC, "half": 2.2}}
+
+
+def reflected(frame, context, **params):
+    return compute_ssr(frame, SsrParams(**params), context, 0).light[Transport.BOUNCE_GLOSSY]
+
+
+def hall(camera: Camera):
+    """A floor, a wall across and one to the side, a slab that stands free."""
+    side = wall((-1.0, 1.0), 0.0, (0.0, 2.0))[..., [1, 0, 2]] - [2.0, -2.0, 0.0]
+    meshes = (quad((0, 1, 0), 6, 6), wall((-4, 4), 3.0, (0, 2.5)), side, wall((0.2, 0.7), 1.4, (0.0, 0.9)))
+    geometry = geometry_of(*meshes)
+    return scene_frame(camera, geometry), geometry
+
+
+def mirrored(camera: Camera) -> Camera:
+    """The camera's mirror image in the plane z = 0, left-handed, so that each pixel looks where its mirror ray goes."""
+    flip = np.diag([1.0, 1.0, -1.0, 1.0])
+    return dataclasses.replace(camera, world_from_view=flip @ camera.world_from_view)
+
+
+@pytest.mark.parametrize("method", ["HIERARCHY", "DDA"])
+@pytest.mark.parametrize("kind", CAMERAS)
+def test_mirror_shows_what_the_mirrored_camera_sees_to_half_a_pixel(kind, method):
+    camera = camera_at((0.4, -2.5, 1.3), (0.0, 1.5, 0.5), 160, 120, **CAMERAS[kind])
+    frame, geometry = hall(camera)
+    mirror = on_floor(frame)
+    frame = glossy(frame, mirror, 0.0)
+    got = reflected(frame, painted(frame, pixel_places(frame)), method=method, edge_fade=0.0, fallback="WORLD",
+                    thickness=0.002)
+
+    # what the mirrored camera sees of everything but the floor, as places in the camera's own picture
+    above = Geometry(*(a[2:] for a in (geometry.corners_ws, geometry.albedo, geometry.emission, geometry.material)))
+    seen = cast_view(mirrored(camera), above, frame.materials)
+    column, row, depth = camera.project(seen.position_ws.astype(np.float64))
+    inside = seen.mask & mirror & (depth > 0)
+    height, width = frame.gbuffer.shape
+    inside &= (column > 1) & (row > 1) & (column < width - 1) & (row < height - 1)
+    # valid where the camera sees the same point: what it sees there lies on the mirrored point's plane
+    at = (np.clip(row, 0, height - 1).astype(int), np.clip(column, 0, width - 1).astype(int))
+    there, normal = frame.gbuffer.position_ws[at], frame.gbuffer.normal_ws[at]
+    apart = np.abs(((seen.position_ws - there) * normal).sum(-1))
+    valid = inside & (apart < 1e-3) & (np.abs((seen.normal_ws * normal).sum(-1)) > 0.99)
+    assert valid.sum() > 1500
+    near = np.hypot(got[..., 0] - column, got[..., 1] - row)[valid] < HALF_PIXEL
+    assert near.mean() >= 0.99
+
+
+def test_hits_lie_where_the_mirror_ray_meets_the_plane():
+    # a wall that fills what is reflected: t = -(n . (o - p)) / (n . d)
+    camera = camera_at((0.3, -1.0, 1.2), (0.1, 2.0, 0.4), 96, 64)
+    frame = scene_frame(camera, geometry_of(quad((0, 0, 0), 30, 30), wall((-20, 20), 3.0, (0, 30))))
+    frame = glossy(frame, on_floor(frame), 0.0)
+    got = reflected(frame, painted(frame, pixel_places(frame)), edge_fade=0.0, fallback="WORLD")
+    floor = on_floor(frame)
+    p = frame.gbuffer.position_ws[floor].astype(np.float64)
+    d = p - camera.position_ws
+    d[:, 2] *= -1
+    hit = p + d * ((3.0 - p[:, 1]) / d[:, 1])[:, None]
+    column, row, _ = camera.project(hit)
+    # not between a pixel of the floor and one of the wall, where the nearest of the wall stands for the place
+    foot = np.argmax(on_floor(frame)[:, 48])
+    inside = (row > 1) & (row < foot - 1) & (column > 1) & (column < 95)
+    error = np.hypot(got[floor][:, 0] - column, got[floor][:, 1] - row)[inside]
+    assert inside.sum() > 500 and np.quantile(error, 0.99) < 0.02     # the plane of a pixel is exact on a plane
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.1, 0.3, 0.6, 1.0])
+def test_even_world_comes_back_as_glossy_color_times_its_radiance(roughness):
+    frame = scene_frame(camera_at((0, -2, 1.0), (0, 1, 0.0), 40, 30), geometry_of(quad((0, 1, 0), 50, 50)))
+    world = World(np.full((1, 1, 3), 2.0, np.float32))
+    frame = dataclasses.replace(glossy(frame, on_floor(frame), roughness, 0.3), world=world)
+    result = compute_ssr(frame, SsrParams(), Context(), 0)
+    floor = on_floor(frame)
+    # a few roundings of float32; at the edge of a sum of 16 rays
+    np.testing.assert_allclose(result.light[Transport.WORLD_GLOSSY][floor], 0.6, rtol=1e-5)
+    assert not result.light[Transport.BOUNCE_GLOSSY].any()
+
+
+def edge_width(roughness: float, distance_m: float) -> float:
+    """Width in m, on the floor at a distance from a wall, over which the reflection of the wall's side edge rises."""
+    camera = camera_at((0.0, -2.5, 1.0), (0.0, 2.0, 0.6), 160, 120, half=0.7)
+    frame = scene_frame(camera, geometry_of(quad((0, 0, 0), 40, 40), wall((-20, 0), 2.0, (0, 1.6))))
+    floor = on_floor(frame)
+    shine = np.where((frame.gbuffer.normal_ws[..., 1] < -0.9)[..., None], 1.0, 0.0) * np.ones(3)
+    got = reflected(glossy(frame, floor, roughness), painted(frame, shine), samples=1024, fallback="WORLD")[..., 0]
+    p = frame.gbuffer.position_ws
+    row = np.argmin(np.abs(np.where(floor, p[..., 1], 99.0).mean(1) - (2.0 - distance_m)))
+    x, y = p[row, :, 0], got[row]
+    x, y = x[x > -1.0], y[x > -1.0]               # from the wall's middle on, over its edge at 0
+    share = y / y[:5].mean()
+    last, first = np.interp([0.25, 0.75], share[::-1], x[::-1])
+    return float(last - first)
+
+
+def test_reflection_hardens_towards_the_contact():
+    near, far = edge_width(0.3, 0.2), edge_width(0.3, 1.6)
+    assert far > 2.5 * near               # eight times the distance; near the wall a pixel, 1.8 cm, is most of the width
+
+
+def test_rougher_floor_blurs_more_and_a_mirror_not_at_all():
+    mirror, polished, rough = (edge_width(r, 1.2) for r in (0.0, 0.2, 0.4))
+    assert mirror < 0.02                  # one pixel of the floor is 1.7 cm wide there
+    assert 3 * mirror < polished and 2 * polished < rough
+
+
+def test_highlight_on_a_rough_floor_is_longer_than_wide():
+    # a small bright square on a wall; on the floor its blurred image stretches towards the viewer
+    camera = camera_at((0.0, -3.0, 0.7), (0.0, 1.0, 0.2), 160, 120, half=0.5)
+    frame = scene_frame(camera, geometry_of(quad((0, 0, 0), 40, 40), wall((-20, 20), 2.0, (0, 20))))
+    p, floor = frame.gbuffer.position_ws, on_floor(frame)
+    spot = (np.abs(p[..., 0]) < 0.06) & (np.abs(p[..., 2] - 0.35) < 0.06) & ~floor
+    got = reflected(glossy(frame, floor, 0.35), painted(frame, spot[..., None] * np.ones(3)), samples=2048,
+                    fallback="WORLD")[..., 0].astype(np.float64)
+    weight = np.where(floor, got, 0)
+    footprint = np.where(floor, np.linalg.norm(p - camera.position_ws, axis=-1) ** 3, 0)       # area of a pixel on the floor
+    weight = weight * footprint
+    mean = [(weight * p[..., k]).sum() / weight.sum() for k in (0, 1)]
+    across, along = (np.sqrt((weight * (p[..., k] - mean[k]) ** 2).sum() / weight.sum()) for k in (0, 1))
+    assert along > 1.5 * across
+
+
+def test_ray_that_leaves_the_frame_is_lit_by_the_scene_and_not_black():
+    frame = room_from_above(48, 36)               # the frame cuts the walls that the floor reflects
+    floor = on_floor(frame)
+    frame = glossy(frame, floor, 0.0)
+    context = lit(frame)
+    exact = reflected(frame, context, exact_rays=True)[floor]
+    with_rays, alone = (reflected(frame, context, fallback=f)[floor] for f in ("RAYS", "WORLD"))
+    assert alone.sum() < 0.85 * exact.sum()
+    assert abs(with_rays.sum() / exact.sum() - 1) < 0.02
+    assert (with_rays.max(-1) > 0).mean() > 0.9 * (exact.max(-1) > 0).mean()
+
+
+def test_hits_fade_smoothly_into_what_lies_beyond_the_frame():
+    # the picture says 1, the triangles, lit by no lamp, say 0: the seam is spread over the edge of the frame
+    camera = camera_at((0.0, -2.0, 1.0), (0.0, 1.0, -0.1), 96, 96, half=0.5)
+    frame = scene_frame(camera, geometry_of(quad((0, 0, 0), 40, 40), wall((-20, 20), 2.0, (0, 20))))
+    frame = glossy(frame, on_floor(frame), 0.0)
+    steps = []
+    for fade in (0.0, 0.25):
+        column = reflected(frame, painted(frame, np.ones((96, 96, 3))), edge_fade=fade)[:, 48, 0]
+        column = column[on_floor(frame)[:, 48]]
+        assert column.max() > 0.99 and column.min() < 0.01
+        steps.append(np.abs(np.diff(column)).max())
+    assert steps[0] > 0.9 and steps[1] < 0.3
+
+
+def test_mirror_in_a_room_equals_rays_through_its_triangles():
+    # each pixel's mirror ray, traced in float64, and the direct light of the pixel that shows its hit
+    frame = make_room_frame(64, 48)
+    floor = on_floor(frame)
+    frame = glossy(frame, floor, 0.0)
+    context = lit(frame)
+    got = reflected(frame, context, edge_fade=0.0)
+    p = frame.gbuffer.position_ws[floor].astype(np.float64)
+    d = p - frame.camera.position_ws
+    d[:, 2] *= -1
+    t, _ = nearest_hit(p + [0, 0, 1e-6], d, frame.geometry.corners_ws)
+    column, row, _ = frame.camera.project(p + t[:, None] * d)
+    inside = (column > 1) & (row > 1) & (column < 63) & (row < 47)
+    light = context.light[Transport.DIRECT_DIFFUSE] * frame.gbuffer.albedo / np.pi
+    expected = light[row[inside].astype(int), column[inside].astype(int)]
+    error = np.abs(got[floor][inside] - expected).sum(-1)
+    # nearest pixels against interpolated ones: shadow edges and creases differ, nothing else
+    assert np.median(error) < 0.02 * expected.sum(-1).mean() and error.mean() < 0.1 * expected.sum(-1).mean()
