@@ -7,7 +7,8 @@ import pytest
 
 pytestmark = pytest.mark.blender
 
-SIZE = (64, 36)
+# a hit in the picture is known to a pixel: a mirror's energy is off by 6 % at 64x36 and by 2 % at this size
+SIZE = (128, 72)
 SAMPLES = 128           # of each half of the reference
 # relative L1 of 8x8 blocks: what few rays and filters, and the pictures' pixels, leave, above the reference's own noise
 TOLERANCE = {0.0: 0.08, 0.25: 0.1, 0.5: 0.12}
