@@ -48,10 +48,28 @@ def classify_tiles(gbuffer: GBuffer, world_irradiance: np.ndarray | None = None,
     kinds |= (is_glossy & ~is_sharp) * np.uint8(Tile.ROUGH)
     if world_irradiance is not None:
         kinds |= (mask & (world_irradiance.max(-1) > 0)) * np.uint8(Tile.WORLD_LIGHT)
-    by_row = np.bitwise_or.reduceat(kinds, np.arange(0, kinds.shape[0], TILE_PX), 0)
-    return np.bitwise_or.reduceat(by_row, np.arange(0, kinds.shape[1], TILE_PX), 1)
+    return _by_tile(kinds)
+
+
+def _by_tile(bits: np.ndarray) -> np.ndarray:
+    by_row = np.bitwise_or.reduceat(bits, np.arange(0, bits.shape[0], TILE_PX), 0)
+    return np.bitwise_or.reduceat(by_row, np.arange(0, bits.shape[1], TILE_PX), 1)
 
 
 def tiles_with(tiles: np.ndarray, wanted: Tile) -> np.ndarray:
     """(n, 2) int32: row and column of the first pixel of every tile that has one of the bits `wanted`, row by row."""
     return np.ascontiguousarray(np.argwhere(tiles & int(wanted)) * TILE_PX, np.int32)
+
+
+def lane_groups(wanted: np.ndarray) -> np.ndarray:
+    """(n, TILE_PX^2) int32: flat indices of the pixels of every tile that holds one of the `wanted` (H, W) bool pixels.
+
+    A tile over the edge repeats its pixels at the edge. The order spreads any run of tiles over the picture, so that threads
+    which share the list out in runs get equal work.
+    """
+    height, width = wanted.shape
+    tiles = tiles_with(_by_tile(wanted.view(np.uint8)), Tile.SURFACE)
+    tiles = tiles[np.argsort(np.arange(len(tiles)) * 0.6180339887498949 % 1.0)]
+    lane = np.arange(TILE_PX * TILE_PX, dtype=np.int32)
+    rows = np.minimum(tiles[:, :1] + lane // TILE_PX, np.int32(height - 1))
+    return rows * np.int32(width) + np.minimum(tiles[:, 1:] + lane % TILE_PX, np.int32(width - 1))
