@@ -137,7 +137,7 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
         return "the camera sees no surface"
     if name == "direct" and not frame.lights:
         return "there is no lamp"
-    if name == "world" and frame.world.is_black:
+    if name in ("world", "hbao", "ssao") and frame.world.is_black:
         return "the world is black"
     if name == "rsm" and not any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views):
         return "no lamp lights a surface" if frame.lights else "there is no lamp"

@@ -15,9 +15,10 @@ import numpy as np
 from .fastmath import PI, fast_sin, fraction
 from .jit import device_jit, pixel_jit, prange
 from .sampling import TWO_PI
-from .screen import TINY, dither, point_vs, seen_normal_vs, to_viewer_vs, turn_to_world
+from .screen import TINY, dither, point_vs, seen_normal_vs, to_viewer_vs, turn_to_view, turn_to_world
 from .shadow import ORTHOGRAPHIC
 from .slices import (
+    QUARTER,
     SECTORS,
     TWO,
     Slice,
@@ -32,7 +33,7 @@ from .slices import (
     share_below,
     slice_of,
 )
-from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, scaled, tangent_frame
+from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load_pixel, scaled, tangent_frame
 
 LANES = 64                  # pixels that go through each step together
 HALF = f32(0.5)
@@ -45,7 +46,7 @@ SURFACE = f32(1e-5)         # of a sample's depth: what a float32 depth cannot t
 _P, _VIEWER, _NORMAL, _SIDE, _BENT = (LANES * 3 * k for k in range(5))
 _SLICE, _LINE = LANES * 15, LANES * 22
 (_COLUMN, _ROW, _DISTANCE, _TURN, _JITTER, _SHIFT, _WEIGHT, _RATE, _COLUMNS, _ROWS, _REACH, _KNOWN, _HIT_COLUMN, _HIT_ROW,
- _DEPTH, _LAST, _LOW, _HIGH, _LIGHT, _OPEN) = (LANES * k for k in range(24, 44))
+ _PX, _DEPTH, _LOW, _HIGH, _LIGHT, _OPEN) = (LANES * k for k in range(24, 44))
 _ROW_COUNT = 44
 NOWHERE = Vec3(ZERO, ZERO, ZERO)
 
@@ -65,16 +66,19 @@ def _put(w, row, x, v):
 @device_jit
 def _begin(s, w, group, width, step, margin, seed):
     """Rows that hold for all slices of a group of pixels."""
+    across, first = np.uint32(width), np.uint32(step // 2 + margin)
     for x in range(LANES):
-        i = group[x] // width * step + step // 2 + margin
-        j = group[x] % width * step + step // 2 + margin
+        row = np.uint32(group[x]) // across
+        column = np.uint32(group[x]) - row * across
+        i, j = row * np.uint32(step) + first, column * np.uint32(step) + first
         depth = s.depth[i, j]
         p = point_vs(s, f32(j) + HALF, f32(i) + HALF, depth if depth < FAR else ONE)     # any number does for the sky
         _put(w, _P, x, p)
         _put(w, _VIEWER, x, to_viewer_vs(s, p))
         _put(w, _NORMAL, x, seen_normal_vs(s, i, j))
         w[_COLUMN + x], w[_ROW + x], w[_DISTANCE + x] = f32(j) + HALF, f32(i) + HALF, length(p)
-        w[_TURN + x], w[_JITTER + x], w[_SHIFT + x] = dither(i, j, seed, 0), dither(i, j, seed, 1), dither(i, j, seed, 2)
+        w[_TURN + x], w[_JITTER + x] = dither(row, column, seed, 0), dither(row, column, seed, 1)
+        w[_SHIFT + x] = dither(row, column, seed, 2)
         w[_LIGHT + x], w[_OPEN + x] = ZERO, ZERO
         _put(w, _BENT, x, NOWHERE)
 
@@ -110,32 +114,41 @@ def _begin_side(s, w, way, radius):
         column, row, columns, rows = w[_COLUMN + x], w[_ROW + x], way * w[_LINE + x], way * w[_LINE + LANES + x]
         reach = reach_px(s, column, row, w[_DISTANCE + x], _vector(w, _VIEWER, x), side, radius, w[_RATE + x])
         end = exit_px(height, width, column, row, columns, rows)
-        # taps lie at the squares of even steps, so the root is their share that the picture holds
-        w[_KNOWN + x] += HALF * math.sqrt(min(ONE, end / max(reach, TINY)))
+        # half of the share of the taps that the picture holds: the inverse of their spacing in _tap
+        w[_KNOWN + x] += HALF * (math.sqrt(QUARTER + TWO * min(ONE, end / max(reach, TINY))) - HALF)
         w[_COLUMNS + x], w[_ROWS + x], w[_REACH + x] = columns, rows, min(reach, end)
-        w[_LAST + x] = -w[_P + 2 * LANES + x]
-        w[_LOW + x] = w[_HIGH + x] = max(way, ZERO)
 
 
 @device_jit
-def _tap(s, flat, w, t, k, steps, is_squared):
-    """Rows of the depth at tap t of `steps` and of the pixel hit; column -1 for a tap that is no longer in reach."""
+def _tap(s, flat, w, t, k, steps, is_dense):
+    """Rows of the depth at tap t of `steps` and of the pixel hit; column -1 for a tap that is no longer in reach.
+
+    Taps are even, or three times as dense near the point as at the rim. On seven scenes that left 0.2 to 1.5 dB less error
+    than the squares of even steps, and as much as even steps near contacts.
+    """
     height, width = f32(s.depth.shape[0]), f32(s.depth.shape[1])
     for x in range(LANES):
         on = (f32(t) + fraction(w[_JITTER + x] + f32(k) * GOLDEN)) / f32(steps)
         reach = w[_REACH + x]
-        px = ONE + (reach - ONE) * (on * on if is_squared else on)
+        px = ONE + (reach - ONE) * (on * (ONE + on) * HALF if is_dense else on)
         # the order of min and max turns NaN into 0
         column = f32(np.int32(max(ZERO, min(w[_COLUMN + x] + w[_COLUMNS + x] * px, width - ONE))))
         row = f32(np.int32(max(ZERO, min(w[_ROW + x] + w[_ROWS + x] * px, height - ONE))))
         w[_HIT_COLUMN + x] = column if px <= reach else -ONE
-        w[_HIT_ROW + x] = row
-        w[_DEPTH + x] = flat[np.int32(row) * np.int32(s.depth.shape[1]) + np.int32(column)]
+        w[_HIT_ROW + x], w[_PX + x] = row, px
+    _look_up(w, flat, s.depth.shape[1])
+
+
+@device_jit
+def _look_up(w, flat, width):
+    """Row of the depths of the pixels hit; apart from the arithmetic, which it would keep from being vectorised."""
+    for x in range(LANES):
+        w[_DEPTH + x] = flat[np.int32(w[_HIT_ROW + x]) * np.int32(width) + np.int32(max(w[_HIT_COLUMN + x], ZERO))]
 
 
 @device_jit
 def _mark(s, w, way, k, radius, thickness):
-    """Rows of the sectors' numbers that a tap closes."""
+    """Rows of the first sector that a tap closes and of the one after the last, as `slices.sectors` counts them."""
     is_parallel, end = s.projection == ORTHOGRAPHIC, max(way, ZERO)
     left, top, step_x, step_y = s.left, s.top, s.step_x, s.step_y
     for x in range(LANES):
@@ -143,8 +156,7 @@ def _mark(s, w, way, k, radius, thickness):
         a = Slice(w[_SLICE + x], w[_SLICE + LANES + x], w[_SLICE + 2 * LANES + x], w[_SLICE + 3 * LANES + x],
                   w[_SLICE + 4 * LANES + x], w[_SLICE + 5 * LANES + x], w[_SLICE + 6 * LANES + x])
         depth, column, row = min(w[_DEPTH + x], FAR), w[_HIT_COLUMN + x], w[_HIT_ROW + x]
-        last, low_before, high_before, distance = w[_LAST + x], w[_LOW + x], w[_HIGH + x], w[_DISTANCE + x]
-        shift = fraction(w[_SHIFT + x] + f32(k) * SILVER)
+        distance, shift = w[_DISTANCE + x], fraction(w[_SHIFT + x] + f32(k) * SILVER)
         scale = ONE if is_parallel else depth
         d = Vec3((left + (column + HALF) * step_x) * scale - p.x, (top - (row + HALF) * step_y) * scale - p.y, -depth - p.z)
         is_near = (dot(d, d) if column >= ZERO else FAR) < radius * radius
@@ -152,14 +164,8 @@ def _mark(s, w, way, k, radius, thickness):
         front = share_below(a, v, b, end)
         v, b = rear(v, b, distance, is_parallel, thickness, radius)
         back = share_below(a, v, b, end)
-        low, high = min(front, back), max(front, back)
-        is_joined = (abs(depth - last) if is_near else FAR) < thickness
-        closed_low = min(low, low_before) if is_joined else low
-        closed_high = max(high, high_before) if is_joined else high
-        w[_LOW + x], w[_HIGH + x] = low, high
-        w[_LAST + x] = depth if is_near else -FAR
-        w[_HIT_COLUMN + x] = f32(SECTORS) * closed_low + shift if is_near else ZERO
-        w[_HIT_ROW + x] = f32(SECTORS) * closed_high + shift if is_near else ZERO
+        w[_LOW + x] = f32(SECTORS) * min(front, back) + shift if is_near else ZERO
+        w[_HIGH + x] = f32(SECTORS) * max(front, back) + shift if is_near else ZERO
 
 
 @device_jit
@@ -214,7 +220,7 @@ def sector_visibility(s, groups, height, width, step, margin, radius, thickness,
                     _tap(s, flat, w, t, k, steps, True)
                     _mark(s, w, way, k, radius, thickness)
                     for x in range(LANES):
-                        closed[x] |= bits_below(np.uint32(w[_HIT_ROW + x])) & ~bits_below(np.uint32(w[_HIT_COLUMN + x]))
+                        closed[x] |= bits_below(np.uint32(w[_HIGH + x])) & ~bits_below(np.uint32(w[_LOW + x]))
             for x in range(LANES):
                 weight = w[_WEIGHT + x] * w[_KNOWN + x]
                 w[_OPEN + x] += weight
@@ -251,28 +257,29 @@ def sector_directions(rows: int = 33) -> np.ndarray:
 def _begin_direction(s, w, k, directions, radius, bias):
     """Rows of published direction k: its line on the screen, how far to go, and the sine of the biased tangent."""
     height, width = f32(s.depth.shape[0]), f32(s.depth.shape[1])
-    sin_bias, cos_bias = math.sin(bias), math.cos(bias)
+    is_parallel, sin_bias, cos_bias = s.projection == ORTHOGRAPHIC, math.sin(bias), math.cos(bias)
     for x in range(LANES):
         turn = (f32(k) + w[_TURN + x]) / f32(directions)
-        half = turn - HALF if turn >= HALF else turn
-        sine = fast_sin(PI * (half * TWO - HALF))
-        cosine = math.sqrt(max(ONE - sine * sine, ZERO))
         flip = -ONE if turn >= HALF else ONE
-        side_x, side_y = -sine * flip, cosine * flip
-        n = _vector(w, _NORMAL, x)
-        slope = -(n.x * side_x + n.y * side_y) / max(n.z, f32(1e-3))
-        size = math.sqrt(ONE + slope * slope)
-        inv = ONE if s.projection == ORTHOGRAPHIC else ONE / max(-w[_P + 2 * LANES + x], TINY)
-        columns, rows = side_x * inv / s.step_x, -side_y * inv / s.step_y
+        sine = fast_sin(PI * (TWO * turn - (f32(1.5) if turn >= HALF else HALF)))
+        cosine = math.sqrt(max(ONE - sine * sine, ZERO))
+        across, up = -flip * sine, flip * cosine            # unit direction on the image plane
+        n, p = _vector(w, _NORMAL, x), _vector(w, _P, x)
+        depth = -p.z
+        inv = ONE if is_parallel else ONE / max(depth, TINY)
+        columns, rows = across * inv / s.step_x, -up * inv / s.step_y
         rate = max(math.sqrt(columns * columns + rows * rows), TINY)
         columns, rows, reach = columns / rate, rows / rate, radius * rate
         end = exit_px(height, width, w[_COLUMN + x], w[_ROW + x], columns, rows)
-        _put(w, _SIDE, x, Vec3(side_x, side_y, ZERO))
+        # where the tangent plane goes as the picture's point moves along the line
+        ray_x, ray_y = (ZERO, ZERO) if is_parallel else (p.x * inv, p.y * inv)
+        away = (n.x * across + n.y * up) / max(n.z - n.x * ray_x - n.y * ray_y, GRAZING)
+        t_x, t_y, t_z = across + away * ray_x, up + away * ray_y, -away
         w[_COLUMNS + x], w[_ROWS + x], w[_REACH + x] = columns, rows, min(reach, end)
         w[_KNOWN + x] = min(ONE, end / max(reach, TINY))
-        w[_SLICE + x], w[_SLICE + LANES + x], w[_SLICE + 2 * LANES + x] = n.z, n.x * side_x + n.y * side_y, ONE / max(
-            n.z * n.z + (n.x * side_x + n.y * side_y) ** 2, f32(1e-4))
-        w[_LOW + x], w[_HIGH + x] = slope / size * cos_bias + sin_bias / size, ZERO
+        flat = math.sqrt(t_x * t_x + t_y * t_y)
+        w[_LOW + x] = (t_z * cos_bias + flat * sin_bias) / math.sqrt(t_x * t_x + t_y * t_y + t_z * t_z)
+        w[_HIGH + x] = ZERO
 
 
 @device_jit
@@ -281,20 +288,22 @@ def _raise_horizon(s, w, radius, has_falloff):
     is_parallel, rcp_r2 = s.projection == ORTHOGRAPHIC, ONE / (radius * radius)
     left, top, step_x, step_y = s.left, s.top, s.step_x, s.step_y
     for x in range(LANES):
-        p, side, n = _vector(w, _P, x), _vector(w, _SIDE, x), _vector(w, _NORMAL, x)
-        depth, column, row = min(w[_DEPTH + x], FAR), w[_HIT_COLUMN + x], w[_HIT_ROW + x]
-        n_v, n_s, rcp_n2, horizon, closed = (w[_SLICE + x], w[_SLICE + LANES + x], w[_SLICE + 2 * LANES + x], w[_LOW + x],
-                                             w[_HIGH + x])
+        p, n, horizon, closed = _vector(w, _P, x), _vector(w, _NORMAL, x), w[_LOW + x], w[_HIGH + x]
+        depth = min(w[_DEPTH + x], FAR)
         scale = ONE if is_parallel else depth
-        d = Vec3((left + (column + HALF) * step_x) * scale - p.x, (top - (row + HALF) * step_y) * scale - p.y, -depth - p.z)
-        r2 = dot(d, d) if column >= ZERO else FAR
-        v, b = d.z, dot(d, side)
-        across = (dot(d, n) - v * n_v - b * n_s) * rcp_n2       # as in slices.into_slice
-        v, b = v + across * n_v, b + across * n_s
-        sine = v / math.sqrt(max(v * v + b * b, TINY))
-        falloff = ONE - r2 * rcp_r2
-        rise = sine - horizon if falloff > ZERO else ZERO
-        rise = max(rise, ZERO)
+        hit_x, hit_y = left + (w[_HIT_COLUMN + x] + HALF) * step_x, top - (w[_HIT_ROW + x] + HALF) * step_y
+        # the point seen, moved along the tangent plane from the pixel's centre to the line: its height stays
+        level = (n.x * hit_x + n.y * hit_y) * scale - n.z * depth
+        at_x = left + (w[_COLUMN + x] + w[_COLUMNS + x] * w[_PX + x]) * step_x
+        at_y = top - (w[_ROW + x] + w[_ROWS + x] * w[_PX + x]) * step_y
+        across = n.x * at_x + n.y * at_y
+        over = across - level if is_parallel else level
+        depth = over / (max(n.z, GRAZING) if is_parallel else min(across - n.z, -GRAZING))
+        scale = ONE if is_parallel else depth
+        d = Vec3(at_x * scale - p.x, at_y * scale - p.y, -depth - p.z)
+        r2 = dot(d, d) if w[_HIT_COLUMN + x] >= ZERO else FAR
+        sine, falloff = d.z / math.sqrt(max(r2, TINY)), max(ONE - r2 * rcp_r2, ZERO)
+        rise = max(sine - horizon, ZERO) if falloff > ZERO else ZERO
         w[_LOW + x] = horizon + rise
         w[_HIGH + x] = closed + rise * (falloff if has_falloff else ONE)
 
@@ -332,12 +341,12 @@ def sphere_visibility(s, groups, height, width, step, margin, radius, samples, i
 
     `samples` (n, 3) float32 are points of the unit ball, mirrored at a plane of its own for each pixel. Without
     `is_oriented` all of them count, and V = min(1, 2 x the visible share) (Mittring 2007). With it they are turned to the
-    normal's side, and what lies more than `radius` before a sample does not hide it.
+    normal's side, and a sample farther than `radius` under the surface that is seen before it is not hidden by it.
     """
     out = np.ones((1, height, width), np.float32)
     plane = out.reshape(height * width)
     flat = s.depth.reshape(-1)
-    is_parallel = s.projection == ORTHOGRAPHIC
+    is_parallel, deepest = s.projection == ORTHOGRAPHIC, radius if is_oriented else FAR
     tall, wide = f32(s.depth.shape[0]), f32(s.depth.shape[1])
     left, top, step_x, step_y = s.left, s.top, s.step_x, s.step_y
     for m in prange(groups.shape[0]):
@@ -348,6 +357,7 @@ def sphere_visibility(s, groups, height, width, step, margin, radius, samples, i
             r = math.sqrt(max(ONE - z * z, ZERO))
             phi = TWO_PI * w[_JITTER + x]
             w[_SIDE + x], w[_SIDE + LANES + x], w[_SIDE + 2 * LANES + x] = r * math.cos(phi), r * math.sin(phi), z
+            w[_WEIGHT + x] = ZERO
         for t in range(samples.shape[0]):
             q = Vec3(samples[t, 0], samples[t, 1], samples[t, 2])
             for x in range(LANES):
@@ -367,19 +377,27 @@ def sphere_visibility(s, groups, height, width, step, margin, radius, samples, i
                 # the depth at which the pixel centre's ray is as high over the tangent plane as the sample
                 ray_x, ray_y = left + (column + HALF) * step_x, top - (row + HALF) * step_y
                 level = dot(p, n) + abs(height_m) * radius
-                if is_parallel:
-                    there = (ray_x * n.x + ray_y * n.y - level) / max(n.z, GRAZING)
-                else:
-                    there = level / min(ray_x * n.x + ray_y * n.y - n.z, -GRAZING)
-                w[_HIT_COLUMN + x] = ONE if is_in else ZERO
+                across = ray_x * n.x + ray_y * n.y
+                over = across - level if is_parallel else level
+                there = over / (max(n.z, GRAZING) if is_parallel else min(across - n.z, -GRAZING))
+                w[_HIT_COLUMN + x], w[_HIT_ROW + x] = column, row
+                w[_KNOWN + x] = ONE if is_in else ZERO
                 w[_REACH + x] = there if is_oriented else z
-                w[_DEPTH + x] = flat[np.int32(row) * np.int32(s.depth.shape[1]) + np.int32(column)]
+            _look_up(w, flat, s.depth.shape[1])
+            if is_oriented:
+                for x in range(LANES):
+                    n = turn_to_view(s, load_pixel(s.normal_ws, np.int32(w[_HIT_ROW + x]), np.int32(w[_HIT_COLUMN + x])))
+                    scale = ZERO if is_parallel else ONE
+                    ray_x = scale * (left + (w[_HIT_COLUMN + x] + HALF) * step_x)
+                    ray_y = scale * (top - (w[_HIT_ROW + x] + HALF) * step_y)
+                    w[_WEIGHT + x] = max(n.z - n.x * ray_x - n.y * ray_y, GRAZING)
             for x in range(LANES):
-                before = w[_REACH + x] - w[_DEPTH + x]
-                is_hidden = (before if w[_HIT_COLUMN + x] > ZERO else -ONE) > SURFACE * w[_REACH + x]
-                is_hidden = (before if is_hidden and is_oriented else ZERO) < radius if is_hidden else False
-                w[_OPEN + x] += w[_HIT_COLUMN + x]
-                w[_LIGHT + x] += w[_HIT_COLUMN + x] * (ZERO if is_hidden else ONE)
+                there, known = w[_REACH + x], w[_KNOWN + x]
+                before = there - w[_DEPTH + x]
+                hidden = known if before > SURFACE * there else ZERO
+                hidden = hidden if before * w[_WEIGHT + x] < deepest else ZERO
+                w[_OPEN + x] += known
+                w[_LIGHT + x] += known - hidden
         for x in range(LANES):
             share = w[_LIGHT + x] / w[_OPEN + x] if w[_OPEN + x] > ZERO else ONE
             plane[group[x]] = share if is_oriented else min(ONE, TWO * share)
