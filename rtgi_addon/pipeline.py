@@ -15,6 +15,7 @@ import numpy as np
 from .composite import combine, merge
 from .core.frame import Frame
 from .core.settings import Settings
+from .kernels.embree import embree_version
 from .kernels.jit import compiled_s, kernel_session, threading_layer
 from .passes import TECHNIQUES
 from .passes.base import Context, Transport
@@ -74,12 +75,13 @@ def peak_memory_mb() -> float:
 
 
 def versions() -> dict[str, str]:
-    """Of RTGI, Python, numpy and numba; the engine adds Blender's."""
+    """Of RTGI, Python, numpy, numba and the Embree that rays go through ("" for our own tree); the engine adds Blender's."""
     import numba
 
     from . import __version__
 
-    return {"rtgi": __version__, "python": platform.python_version(), "numpy": np.__version__, "numba": numba.__version__}
+    return {"rtgi": __version__, "python": platform.python_version(), "numpy": np.__version__, "numba": numba.__version__,
+            "embree": embree_version()}
 
 
 def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = None, stages: Stages | None = None,

@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
-from .jit import device_jit
-from .vec3 import ONE, ZERO, add, dot, f32, normalized_or
+from .jit import device_jit, inline_jit
+from .vec3 import ONE, ZERO, add, dot, f32, scaled
 
 INV_PI = f32(1 / math.pi)
 HALF = f32(0.5)
@@ -26,7 +26,7 @@ GAIN_STEPS = 32             # cells of the tables of albedos, along cosine and a
 _QUADRATURE = 24            # nodes an axis of the integral over half vectors
 
 
-@device_jit
+@inline_jit
 def fresnel_rise(cosine):
     """How far reflectance has risen from normal incidence (0) to grazing (1), by Fresnel's equations for index 1.5.
 
@@ -37,20 +37,22 @@ def fresnel_rise(cosine):
     return max(HALF * a * a * (ONE + b * b) - F0, ZERO) / (ONE - F0)
 
 
-@device_jit
+@inline_jit
 def fresnel(cosine, f0=F0):
     """Reflectance of a surface that reflects `f0` at normal incidence and everything at grazing."""
     return f0 + (ONE - f0) * fresnel_rise(cosine)
 
 
-@device_jit
+@inline_jit
 def ggx_lobe(normal, fixed, other, alpha2, f0=F0):
     """BRDF times the cosine of `other`, 1/sr, up to the gain; all vectors unit, both directions away from the surface.
 
     `alpha2` is the fourth power of the perceptual roughness. Fresnel is relative to its value at `fixed`, since the
     colour that scales the lobe holds that already. GGX: Walter et al. 2007, Eq. 33; shadowing: Heitz 2014, Eq. 99.
+    No branch, so that loops over it are vectorised; directions that cancel have a half vector of 0.
     """
-    h = normalized_or(add(fixed, other), normal)
+    h = add(fixed, other)
+    h = scaled(h, ONE / math.sqrt(max(dot(h, h), f32(1e-12))))
     cos_h, cos_d = dot(normal, h), max(dot(h, fixed), ZERO)
     cos_f, cos_o = max(dot(normal, fixed), f32(0.02)), max(dot(normal, other), ZERO)
     t = cos_h * cos_h * (alpha2 - ONE) + ONE

@@ -6,11 +6,20 @@ import math
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, inline_jit, pixel_jit, prange
 from .vec3 import ONE, ZERO, dot, f32, load_pixel, sub, tangent_frame
 
 WEAK = f32(0.05)            # below this weight a pixel found no like neighbour on the lattice
 TWO = f32(2)
+
+
+@inline_jit
+def _falloff(x):
+    """e^-x for x >= 0 as (1 - x / 8)^8, within 0.03 and 0 from 8 on; the library's exp took a third of the filters' time."""
+    a = max(ONE - x * f32(0.125), ZERO)
+    a *= a
+    a *= a
+    return a * a
 
 
 @pixel_jit
@@ -20,7 +29,7 @@ def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask,
     Returns ((H, W, 3) float32, (H, W) bool): the filtered values, and the surface pixels that must be gathered on their
     own: they found no neighbour of like plane and normal, or their neighbours' light differs by more than `unrest` (standard
     deviation over mean). Weights: a squared tent of 4x4 points, the 16th power of the
-    normals' cosine, exp(-distance from the pixel's tangent plane * rcp_tolerance (H, W) 1/m).
+    normals' cosine, a falloff like exp(-distance from the pixel's tangent plane * rcp_tolerance (H, W) 1/m).
     """
     height, width = mask.shape
     out, weak = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.bool_)
@@ -43,7 +52,7 @@ def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask,
                     c2 = cosine * cosine
                     c4 = c2 * c2
                     c8 = c4 * c4
-                    k = tent * tent * c8 * c8 * math.exp(-plane)
+                    k = tent * tent * c8 * c8 * _falloff(plane)
                     total += k
                     red += k * values[u, v, 0]
                     green += k * values[u, v, 1]
@@ -65,7 +74,7 @@ def _likeness(p, n, q, m, rcp_tolerance):
     c2 = cosine * cosine
     c4 = c2 * c2
     c8 = c4 * c4
-    return c8 * c8 * math.exp(-abs(dot(n, sub(q, p))) * rcp_tolerance)
+    return c8 * c8 * _falloff(abs(dot(n, sub(q, p))) * rcp_tolerance)
 
 
 @pixel_jit

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from .brdf import INV_PI, ggx_lobe
-from .bvh import STACK, is_occluded
+from .bvh import STACK, visibility
 from .clusters import (
     ALPHA2,
     C_ALPHA2,
@@ -27,11 +27,13 @@ from .clusters import (
     DIFFUSE,
     F0,
     GLOSSY,
+    MEAN_DIFFUSE,
+    MEAN_GLOSSY,
     NO_LOBE,
     NORMAL,
     TO_LIGHT,
 )
-from .jit import device_jit, pixel_jit, prange
+from .jit import inline_jit, pixel_jit, prange
 from .sampling import uniform
 from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_column, scaled, sub
 
@@ -40,78 +42,87 @@ LEAST = f32(0.25)           # a cosine counts at least this share of the most th
 NEAR = f32(1)               # a cluster nearer than its radius is summed texel by texel (squares): 15 % less noise than 0.25
 MAX_SHARES = f32(8)         # a ray may give at most this many times its fair share: bounds rare bright rays
 CANDIDATES = 4              # texels of a far cluster that compete for a ray
+NEAR_TEXELS = 8192          # texels of near clusters that a point weighs one by one; clusters beyond count as far
 POINTS_A_BLOCK = 32         # points that one thread takes at a time, so that scratch is allocated once for them
 
 
-@device_jit
-def texel_factors(p, n, T, k, eps2):
-    """(diffuse, glossy): irradiance at point p, normal n is diffuse * T[DIFFUSE, k] + glossy * T[GLOSSY, k]; 1/m2."""
-    d = Vec3(T[0, k] - p.x, T[1, k] - p.y, T[2, k] - p.z)
-    m = load_column(T, NORMAL, k)
+@inline_jit
+def _record_factors(p, n, R, k, eps2):
+    """(diffuse, glossy): irradiance at point p, normal n is diffuse * R[k, DIFFUSE] + glossy * R[k, GLOSSY]; 1/m2."""
+    d = sub(load(R, k), p)
+    m = Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2])
     cos_r, cos_e = dot(d, n), -dot(d, m)
     if cos_r <= ZERO or cos_e <= ZERO:
         return ZERO, ZERO
     r2, glossy = dot(d, d) + eps2, ZERO
-    if T[ALPHA2, k] < NO_LOBE:
-        inv = ONE / math.sqrt(r2)
-        glossy = cos_r * inv / r2 * ggx_lobe(m, load_column(T, TO_LIGHT, k), scaled(d, -inv), T[ALPHA2, k], T[F0, k])
+    if R[k, ALPHA2] < NO_LOBE:
+        inv, to_light = ONE / math.sqrt(r2), Vec3(R[k, TO_LIGHT], R[k, TO_LIGHT + 1], R[k, TO_LIGHT + 2])
+        glossy = cos_r * inv / r2 * ggx_lobe(m, to_light, scaled(d, -inv), R[k, ALPHA2], R[k, F0])
     return cos_r * cos_e / (r2 * r2) * INV_PI, glossy
 
 
-@device_jit
-def _mean_given(T, k, diffuse, glossy):
-    """Mean over the colours of what texel k gives with these factors."""
-    return THIRD * (diffuse * (T[DIFFUSE, k] + T[DIFFUSE + 1, k] + T[DIFFUSE + 2, k])
-                    + glossy * (T[GLOSSY, k] + T[GLOSSY + 1, k] + T[GLOSSY + 2, k]))
-
-
-@device_jit
-def _weigh(p, n, C, w):
+@inline_jit
+def _weigh(p, n, C, has_glossy, w):
     """Unshadowed weight of every cluster: 0 only where no texel of it can be above both horizons.
 
     With radius R and spread s of the normals no texel's product -d.n exceeds the mean's by more than R + s |d|. Weights
     of 0 for clusters that straddle a horizon lose up to 5 % of the light.
     """
-    for c in range(C.shape[1]):                  # diffuse alone: this loop is vectorised
-        dx, dy, dz, radius2 = C[0, c] - p.x, C[1, c] - p.y, C[2, c] - p.z, C[C_RADIUS2, c]
-        radius, dist2 = math.sqrt(radius2), dx * dx + dy * dy + dz * dz
-        cos_r = dx * n.x + dy * n.y + dz * n.z
-        cos_e = -(dx * C[C_NORMAL, c] + dy * C[C_NORMAL + 1, c] + dz * C[C_NORMAL + 2, c])
-        cos_r = max(cos_r + HALF * radius, LEAST * max(cos_r + radius, ZERO))
-        cos_e = max(cos_e + HALF * radius, LEAST * max(cos_e + radius + math.sqrt(dist2) * C[C_SPREAD, c], ZERO))
-        r2 = dist2 + radius2 * f32(0.25)
-        w[c] = C[C_DIFFUSE, c] * cos_r * cos_e / (r2 * r2 + f32(1e-30)) * INV_PI + (
-            f32(1e-30) if C[C_GLOSSY, c] > ZERO and cos_r > ZERO and cos_e > ZERO else ZERO)
-    for c in range(C.shape[1]):
-        if C[C_GLOSSY, c] > ZERO and w[c] > ZERO:
-            d, radius2 = Vec3(C[0, c] - p.x, C[1, c] - p.y, C[2, c] - p.z), C[C_RADIUS2, c]
-            slack = math.sqrt(radius2) * HALF
-            r2 = dot(d, d) + radius2 * f32(0.25) + f32(1e-30)
+    for c in range(C.shape[1]):                  # without a branch, so that it is vectorised
+        d, radius2 = Vec3(C[0, c] - p.x, C[1, c] - p.y, C[2, c] - p.z), C[C_RADIUS2, c]
+        m = load_column(C, C_NORMAL, c)
+        radius, dist2 = math.sqrt(radius2), dot(d, d)
+        towards, from_there = dot(d, n), -dot(d, m)
+        cos_r = max(towards + HALF * radius, LEAST * max(towards + radius, ZERO))
+        cos_e = max(from_there + HALF * radius,
+                    LEAST * max(from_there + radius + math.sqrt(dist2) * C[C_SPREAD, c], ZERO))
+        r2 = dist2 + radius2 * f32(0.25) + f32(1e-30)
+        w[c] = C[C_DIFFUSE, c] * cos_r * cos_e / (r2 * r2 + f32(1e-30)) * INV_PI
+        if has_glossy:
             inv = ONE / math.sqrt(r2)
             wide = min(ONE, C[C_ALPHA2, c] + radius2 / r2)
-            m = load_column(C, C_NORMAL, c)
             # lift the direction by the cluster's size: part of it sees the point even where its centre does not
-            to_point = along(scaled(d, -inv), m, slack * inv)
-            cos_r = max(dot(d, n) + slack, LEAST * (dot(d, n) + slack + slack))
-            w[c] += C[C_GLOSSY, c] * cos_r * inv / r2 * ggx_lobe(
-                m, load_column(C, C_TO_LIGHT, c), to_point, wide, C[C_F0, c])
+            to_point = along(scaled(d, -inv), m, radius * HALF * inv)
+            lobe = ggx_lobe(m, load_column(C, C_TO_LIGHT, c), to_point, wide, C[C_F0, c])
+            # a cluster without a lobe has an F0 of 0 too, and its lobe may be 0 / 0
+            w[c] += (C[C_GLOSSY, c] * cos_r * inv / r2 * lobe) if min(C[C_GLOSSY, c], cos_e) > ZERO else ZERO
 
 
-@device_jit
-def _pick_near(p, n, T, eps2, first, last, goal):
-    """(texel, share): the texel of [first, last) where the running sum of what each gives here passes `goal`."""
-    run, k, gives_k = ZERO, -1, ZERO
-    for q in range(first, last):
-        diffuse, glossy = texel_factors(p, n, T, q, eps2)
-        gives = _mean_given(T, q, diffuse, glossy)
-        if gives > ZERO:
-            run, k, gives_k = run + gives, q, gives
+@inline_jit
+def _weigh_texels(p, n, T, has_glossy, eps2, first, number, out, at):
+    """Mean over the colours of what each of `number` texels gives unshadowed, to out[at:]; returns their sum."""
+    total = ZERO
+    for i in range(number):                      # without a branch and with unsigned indices: vectorised
+        k = np.uint64(first) + np.uint64(i)
+        d = Vec3(T[0, k] - p.x, T[1, k] - p.y, T[2, k] - p.z)
+        m = Vec3(T[NORMAL, k], T[NORMAL + 1, k], T[NORMAL + 2, k])
+        cos_r, cos_e = dot(d, n), -dot(d, m)
+        r2 = dot(d, d) + eps2
+        gives = cos_r * cos_e / (r2 * r2) * INV_PI * T[MEAN_DIFFUSE, k]
+        if has_glossy:
+            inv, to_light = ONE / math.sqrt(r2), Vec3(T[TO_LIGHT, k], T[TO_LIGHT + 1, k], T[TO_LIGHT + 2, k])
+            gives += (cos_r * inv / r2 * T[MEAN_GLOSSY, k]
+                      * ggx_lobe(m, to_light, scaled(d, -inv), min(T[ALPHA2, k], ONE), T[F0, k]))
+        gives = gives if min(cos_r, cos_e) > ZERO else ZERO
+        out[np.uint64(at) + np.uint64(i)] = gives
+        total += gives
+    return total
+
+
+@inline_jit
+def _pick_near(gives, first, number, goal):
+    """(index, what it gives): the first of gives[first:first + number] at which their running sum passes `goal`."""
+    run, found, gives_found = ZERO, -1, ZERO
+    for q in range(number):
+        g = gives[first + q]
+        if g > ZERO:
+            run, found, gives_found = run + g, q, g
             if run >= goal:
                 break
-    return k, gives_k
+    return found, gives_found
 
 
-@device_jit
+@inline_jit
 def _by_flux(running, first, last, u):
     """The column of [first, last) in proportion to flux, by bisection."""
     base, span = running[first], running[last] - running[first]
@@ -125,8 +136,8 @@ def _by_flux(running, first, last, u):
     return lo
 
 
-@device_jit
-def _pick_far(p, n, T, running, eps2, first, last, u, v):
+@inline_jit
+def _pick_far(p, n, R, running, eps2, first, last, u, v):
     """(texel, share) by resampling: CANDIDATES texels drawn by flux, one of them kept by what it gives here.
 
     `share` is what the texel gives over the estimate of what the cluster gives (Talbot et al. 2005, Eq. 5).
@@ -136,8 +147,8 @@ def _pick_far(p, n, T, running, eps2, first, last, u, v):
     total, k, gives_k = ZERO, -1, ZERO
     for j in range(number):
         q = _by_flux(running, first, last, (f32(j) + u) / f32(number))
-        diffuse, glossy = texel_factors(p, n, T, q, eps2)
-        gives = _mean_given(T, q, diffuse, glossy)
+        diffuse, glossy = _record_factors(p, n, R, q, eps2)
+        gives = diffuse * R[q, MEAN_DIFFUSE] + glossy * R[q, MEAN_GLOSSY]
         weight = gives * f32(span / (running[q + 1] - running[q]))
         total += weight
         if weight > ZERO and v * total < weight:         # keep it with probability weight / total (Chao 1982)
@@ -148,22 +159,26 @@ def _pick_far(p, n, T, running, eps2, first, last, u, v):
     return k, gives_k * f32(number) / max(total, f32(1e-30))
 
 
-@device_jit
-def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, near, stack):
-    """(r, g, b, unshadowed mean, variance of the mean) at one point."""
-    C, T, start, end, running = clusters.table, clusters.texels, clusters.start, clusters.end, clusters.running
-    n_clusters = C.shape[1]
-    _weigh(p, n, C, w)
-    total = ZERO
+@inline_jit
+def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack):
+    """(r, g, b, unshadowed mean, variance of the mean) at one point.
+
+    w, at (C,), gives_near (NEAR_TEXELS,) and stack are scratch: weights of clusters, where in `gives_near` the texels of a
+    near cluster stand (-1: far), and what they give.
+    """
+    C, R, start, end, running = clusters.table, clusters.records, clusters.start, clusters.end, clusters.running
+    n_clusters, has_glossy = C.shape[1], clusters.has_glossy
+    _weigh(p, n, C, has_glossy, w)
+    total, used = ZERO, 0
     for c in range(n_clusters):
-        dx, dy, dz = C[0, c] - p.x, C[1, c] - p.y, C[2, c] - p.z
-        near[c] = dx * dx + dy * dy + dz * dz < NEAR * C[C_RADIUS2, c]
-        if near[c] and w[c] > ZERO:
-            w[c] = ZERO
-            for k in range(start[c], end[c]):
-                diffuse, glossy = texel_factors(p, n, T, k, eps2)
-                w[c] += _mean_given(T, k, diffuse, glossy)
-        total += w[c]
+        at[c] = -1
+        if w[c] > ZERO:
+            dx, dy, dz, number = C[0, c] - p.x, C[1, c] - p.y, C[2, c] - p.z, end[c] - start[c]
+            if dx * dx + dy * dy + dz * dz < NEAR * C[C_RADIUS2, c] and used + number <= NEAR_TEXELS:
+                at[c] = used
+                w[c] = _weigh_texels(p, n, clusters.texels, has_glossy, eps2, start[c], number, gives_near, used)
+                used += number
+            total += w[c]
     red, green, blue, squares = ZERO, ZERO, ZERO, ZERO
     if not total > ZERO:
         return red, green, blue, ZERO, ZERO
@@ -176,26 +191,28 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, near, 
         if w[c] <= ZERO:
             continue
         u = uniform(point, seed, 2 * j + 1)
-        if near[c]:
-            k, gives = _pick_near(p, n, T, eps2, start[c], end[c], u * w[c])
+        if at[c] >= 0:
+            k, gives = _pick_near(gives_near, at[c], end[c] - start[c], u * w[c])
             share = gives / w[c]
+            k += start[c] if k >= 0 else 0
         else:
-            k, share = _pick_far(p, n, T, running, eps2, start[c], end[c], u, uniform(point, seed ^ 0x5BD1, j))
+            k, share = _pick_far(p, n, R, running, eps2, start[c], end[c], u, uniform(point, seed ^ 0x5BD1, j))
         if k < 0 or share <= ZERO:
             continue
-        diffuse, glossy = texel_factors(p, n, T, k, eps2)
-        gives = _mean_given(T, k, diffuse, glossy)
+        diffuse, glossy = _record_factors(p, n, R, k, eps2)
+        gives = diffuse * R[k, MEAN_DIFFUSE] + glossy * R[k, MEAN_GLOSSY]
         if gives <= ZERO:
             continue
-        target_point = lifted(load_column(T, 0, k), load_column(T, NORMAL, k), offset_m)
+        target_point = lifted(load(R, k), Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2]), offset_m)
         start_point = begun(origin, sub(target_point, origin), offset_m)
-        if is_occluded(bvh, stack, start_point, sub(target_point, start_point)):
+        arrives = visibility(bvh, stack, start_point, sub(target_point, start_point))
+        if arrives == ZERO:
             continue
         s = total / (w[c] * share * f32(rays))
-        s *= min(ONE, MAX_SHARES * total / f32(rays) / (gives * s))
-        red += s * (diffuse * T[DIFFUSE, k] + glossy * T[GLOSSY, k])
-        green += s * (diffuse * T[DIFFUSE + 1, k] + glossy * T[GLOSSY + 1, k])
-        blue += s * (diffuse * T[DIFFUSE + 2, k] + glossy * T[GLOSSY + 2, k])
+        s *= arrives * min(ONE, MAX_SHARES * total / f32(rays) / (gives * s))
+        red += s * (diffuse * R[k, DIFFUSE] + glossy * R[k, GLOSSY])
+        green += s * (diffuse * R[k, DIFFUSE + 1] + glossy * R[k, GLOSSY + 1])
+        blue += s * (diffuse * R[k, DIFFUSE + 2] + glossy * R[k, GLOSSY + 2])
         squares += s * s * gives * gives
     mean = THIRD * (red + green + blue)
     return red, green, blue, total, max(squares - mean * mean / f32(rays), ZERO)
@@ -212,8 +229,10 @@ def gather_visible(position, normal, ids, clusters, eps2, bvh, rays, offset_m, s
     number, n_clusters = position.shape[0], clusters.table.shape[1]
     out = np.zeros((number, 5), np.float32)
     for block in prange((number + POINTS_A_BLOCK - 1) // POINTS_A_BLOCK):
-        w, near, stack = np.empty(n_clusters, np.float32), np.empty(n_clusters, np.bool_), np.empty(STACK, np.int32)
+        w, at, stack = np.empty(n_clusters, np.float32), np.empty(n_clusters, np.int32), np.empty(STACK, np.int32)
+        gives_near = np.empty(NEAR_TEXELS, np.float32)
         for m in range(block * POINTS_A_BLOCK, min(number, (block + 1) * POINTS_A_BLOCK)):
+            p, n = load(position, m), load(normal, m)
             out[m, 0], out[m, 1], out[m, 2], out[m, 3], out[m, 4] = _gather_at(
-                load(position, m), load(normal, m), ids[m], clusters, eps2, bvh, rays, offset_m, seed, w, near, stack)
+                p, n, ids[m], clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack)
     return out
