@@ -133,7 +133,7 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
         return "the camera sees no surface"
     if name == "direct" and not frame.lights:
         return "there is no lamp"
-    if name == "world" and frame.world.is_black:
+    if name in ("world", "hbao", "ssao") and frame.world.is_black:
         return "the world is black"
     if name == "ssr" and not (frame.gbuffer.specular[mask] > NEGLIGIBLE).any():
         return "no surface in view is glossy"

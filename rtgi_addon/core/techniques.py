@@ -101,8 +101,73 @@ class SsrParams(Params):
         "shorter side", low=0.0, high=0.5)
 
 
-TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams,
-                                             "ssr": SsrParams}
+@dataclass(frozen=True)
+class HbaoParams(Params):
+    """Horizon-based ambient occlusion: world light, shadowed by what the screen shows around a pixel."""
+
+    method: str = param(
+        "COSINE", "What is measured",
+        choices=(("COSINE", "Cosine-correct",
+                  "Sectors around the viewer's direction, with thickness: ray-traced visibility where the screen shows all"),
+                 ("PUBLISHED", "As published",
+                  "Horizons with tangent bias and falloff (Bavoil et al. 2008): even in angle, nothing passes behind")))
+    radius_m: float = param(
+        0.0, "Distance up to which things hide the sky; 0 takes 20 % of the scene's size",
+        low=0.0, high=1e6, soft_high=100.0, unit="m")
+    slices: int = param(
+        2, "Planes through the viewer's direction that are marched to both sides; the blur evens out few of them", low=1,
+        high=64, soft_high=16)
+    steps: int = param(
+        12, "Samples to each side of a slice; too few miss what is small and leave corners too bright", low=1, high=256,
+        soft_high=64)
+    thickness: float = param(
+        0.7, "Depth of what stands behind each visible point, as a share of the radius; light passes behind thinner things",
+        low=0.0, high=10.0, soft_high=2.0)
+    bias_rad: float = param(
+        0.1, "Elevation over the tangent plane below which the published form sees no occluder; hides coarse meshes' edges",
+        low=0.0, high=1.5, unit="rad")
+    falloff: bool = param(True, "The published form lets occluders fade towards the radius; off, they count in full")
+    bent_normals: bool = param(
+        True, "Light of a map is looked up along the mean open direction instead of the normal; takes a tenth longer")
+    multi_bounce: bool = param(
+        False, "Adds the light that surfaces alike send to each other, as an exact series; off, no bounce is added")
+    blur: int = param(
+        2, "Radius of the edge-preserving blur in gathered points; 0 leaves the noise", low=0, high=8, unit="px")
+    lattice_px: int = param(
+        1, "Distance between gathered points; pixels between them are interpolated along their surface", low=1, high=8,
+        unit="px")
+    overscan: float = param(
+        0.0, "Rim beyond the picture's edges, as a share of its shorter side, that is ray-cast for occluders off screen",
+        low=0.0, high=1.0, soft_high=0.5)
+
+
+@dataclass(frozen=True)
+class SsaoParams(Params):
+    """Screen-space ambient occlusion: world light, shadowed by random points around a pixel that the screen hides."""
+
+    method: str = param(
+        "HEMISPHERE", "Where the points lie",
+        choices=(("HEMISPHERE", "Hemisphere", "On the normal's side; what lies far before a point does not hide it"),
+                 ("SPHERE", "As published",
+                  "All around, without normals (Mittring 2007): no occlusion if more than half is seen; false shadows")))
+    radius_m: float = param(
+        0.0, "Radius of the ball of points; 0 takes 20 % of the scene's size", low=0.0, high=1e6, soft_high=100.0, unit="m")
+    samples: int = param(
+        16, "Points around each pixel; noise falls with the square root, and the blur evens it out", low=1, high=1024,
+        soft_high=128)
+    blur: int = param(
+        2, "Radius of the edge-preserving blur in gathered points; 0 leaves the noise", low=0, high=8, unit="px")
+    lattice_px: int = param(
+        1, "Distance between gathered points; pixels between them are interpolated along their surface", low=1, high=8,
+        unit="px")
+    overscan: float = param(
+        0.0, "Rim beyond the picture's edges, as a share of its shorter side, that is ray-cast for occluders off screen",
+        low=0.0, high=1.0, soft_high=0.5)
+
+
+TECHNIQUE_PARAMS: dict[str, type[Params]] = {
+    "direct": DirectParams, "world": WorldParams, "rsm": RsmParams, "hbao": HbaoParams, "ssao": SsaoParams,
+    "ssr": SsrParams}
 
 # these run in every render and have no toggle
 ALWAYS_ON = ("direct", "world")
@@ -111,6 +176,8 @@ LABELS: dict[str, str] = {
     "direct": "Direct Light",
     "world": "World Light",
     "rsm": "Reflective Shadow Maps",
+    "hbao": "Ambient Occlusion (HBAO)",
+    "ssao": "Ambient Occlusion (SSAO)",
     "ssr": "Screen-Space Reflections",
 }
 
@@ -120,18 +187,24 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 8, "rays": 16},
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
+        "hbao": {"slices": 2, "steps": 8, "lattice_px": 2, "overscan": 0.0},
+        "ssao": {"samples": 8, "lattice_px": 2, "overscan": 0.0},
         "ssr": {"samples": 8},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 4, "rays": 32},
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
+        "hbao": {"slices": 2, "steps": 12, "lattice_px": 1, "overscan": 0.0},
+        "ssao": {"samples": 16, "lattice_px": 1, "overscan": 0.0},
         "ssr": {"samples": 16},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},
         "world": {"lattice_px": 2, "rays": 64},
         "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
+        "hbao": {"slices": 4, "steps": 32, "lattice_px": 1, "overscan": 0.15},
+        "ssao": {"samples": 64, "lattice_px": 1, "overscan": 0.15},
         "ssr": {"samples": 64},
     },
 }

@@ -5,12 +5,14 @@ from __future__ import annotations
 from ..errors import InputError
 from .base import Technique
 from .direct import TECHNIQUE as _DIRECT
+from .hbao import TECHNIQUE as _HBAO
 from .rsm import TECHNIQUE as _RSM
+from .ssao import TECHNIQUE as _SSAO
 from .ssr import TECHNIQUE as _SSR
 from .world import TECHNIQUE as _WORLD
 
 # in the order in which they run; where several could supply the same light, the planner prefers the first
-TECHNIQUES: dict[str, Technique] = {t.name: t for t in (_DIRECT, _WORLD, _RSM, _SSR)}
+TECHNIQUES: dict[str, Technique] = {t.name: t for t in (_DIRECT, _WORLD, _RSM, _HBAO, _SSAO, _SSR)}
 
 
 def technique(name: str) -> Technique:
