@@ -23,7 +23,7 @@ import numpy as np
 
 from .bvh import closest_hit, solid, triangle_normal
 from .jit import device_jit
-from .vec3 import ONE, ZERO, Vec3, along, dot, f32, scaled
+from .vec3 import ONE, ZERO, Vec3, along, dot, f32, moved_by, scaled, turned_by
 
 PERSPECTIVE, ORTHOGRAPHIC, EQUIRECTANGULAR = 0, 1, 2
 LIT, DARK, ASK = 1, 2, 3
@@ -183,10 +183,8 @@ def _spread_reach(reach, tallest, is_wrapped):
 @device_jit
 def _project(m, p):
     """Column, row (texel centres at +0) and height of p in map m; height NOTHING behind a perspective view."""
-    v = m.view_from_world
-    x = v[0, 0] * p.x + v[0, 1] * p.y + v[0, 2] * p.z + v[0, 3]
-    y = v[1, 0] * p.x + v[1, 1] * p.y + v[1, 2] * p.z + v[1, 3]
-    depth = -(v[2, 0] * p.x + v[2, 1] * p.y + v[2, 2] * p.z + v[2, 3])
+    q = moved_by(m.view_from_world, p)
+    x, y, depth = q.x, q.y, -q.z
     if m.projection == PERSPECTIVE:
         if depth <= ZERO:
             return ZERO, ZERO, NOTHING
@@ -248,13 +246,6 @@ def classify(m, p, error):
 
 
 @device_jit
-def _turned(m, d):
-    v = m.view_from_world
-    return Vec3(v[0, 0] * d.x + v[0, 1] * d.y + v[0, 2] * d.z, v[1, 0] * d.x + v[1, 1] * d.y + v[1, 2] * d.z,
-                v[2, 0] * d.x + v[2, 1] * d.y + v[2, 2] * d.z)
-
-
-@device_jit
 def _plane_height(m, n, over, h, column, row, i, j):
     """Height of the plane through a point (column, row, h) with view-space normal n where texel (i, j) sees it.
 
@@ -290,14 +281,11 @@ def look_around(m, p, n, error):
     if not k * (tallest - h) < f32(WINDOW_PX - 1):
         return ASK
     radius = int(max(k * (tallest - h), ZERO) + ONE)
-    n = _turned(m, n)
-    v = m.view_from_world
+    n = turned_by(m.view_from_world, n)
     if m.projection == ORTHOGRAPHIC:
         over = n.z
     else:
-        over = dot(n, Vec3(v[0, 0] * p.x + v[0, 1] * p.y + v[0, 2] * p.z + v[0, 3],
-                           v[1, 0] * p.x + v[1, 1] * p.y + v[1, 2] * p.z + v[1, 3],
-                           v[2, 0] * p.x + v[2, 1] * p.y + v[2, 2] * p.z + v[2, 3]))
+        over = dot(n, moved_by(m.view_from_world, p))
     if abs(over) <= f32(1e-20):
         return ASK
     over = ONE / over

@@ -123,3 +123,25 @@ def to_world(local, tangent, bitangent, normal):
     return Vec3(local.x * tangent.x + local.y * bitangent.x + local.z * normal.x,
                 local.x * tangent.y + local.y * bitangent.y + local.z * normal.y,
                 local.x * tangent.z + local.y * bitangent.z + local.z * normal.z)
+
+
+@device_jit
+def moved_by(m, p):
+    """Point p through a (3, 4) or (4, 4) matrix."""
+    return Vec3(m[0, 0] * p.x + m[0, 1] * p.y + m[0, 2] * p.z + m[0, 3],
+                m[1, 0] * p.x + m[1, 1] * p.y + m[1, 2] * p.z + m[1, 3],
+                m[2, 0] * p.x + m[2, 1] * p.y + m[2, 2] * p.z + m[2, 3])
+
+
+@device_jit
+def turned_by(m, d):
+    """Direction d through the rotation of a matrix."""
+    return Vec3(m[0, 0] * d.x + m[0, 1] * d.y + m[0, 2] * d.z, m[1, 0] * d.x + m[1, 1] * d.y + m[1, 2] * d.z,
+                m[2, 0] * d.x + m[2, 1] * d.y + m[2, 2] * d.z)
+
+
+@device_jit
+def turned_back_by(m, d):
+    """Direction d through the inverse of the rotation of a matrix."""
+    return Vec3(m[0, 0] * d.x + m[1, 0] * d.y + m[2, 0] * d.z, m[0, 1] * d.x + m[1, 1] * d.y + m[2, 1] * d.z,
+                m[0, 2] * d.x + m[1, 2] * d.y + m[2, 2] * d.z)

@@ -29,6 +29,7 @@ from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
 from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
 from .base import Context, PassResult, Technique, Transport
+from .screen import PROJECTION_CODES
 
 NONE, MAP, RAYS = 0, 1, 2   # how a light's shadows are found
 PILOTS = 8                  # rays that decide whether a pixel lies in half shadow; four, to the rim, miss thin things
@@ -41,9 +42,6 @@ OFFSET = f32(1.5e-6)        # of the coordinates: rounding of a ray's start on i
 SKIP = f32(1e-6)            # of the largest coordinate: what a shadow ray does not look at before its start
 SPAN = f32(1e-4)            # of the viewer's distance: how far from its position a pixel's triangle is looked for
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-
-_PROJECTIONS = {Projection.PERSPECTIVE: shadow.PERSPECTIVE, Projection.ORTHOGRAPHIC: shadow.ORTHOGRAPHIC,
-                Projection.EQUIRECTANGULAR: shadow.EQUIRECTANGULAR}
 
 
 def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: int = 0) -> PassResult:
@@ -215,7 +213,7 @@ def pack_shadow_map(view: LightView | None, light: Light, geometry: Geometry | N
         corners = geometry.corners_ws[np.flatnonzero((row >= 0) & geometry.cutouts.is_veil[np.maximum(row, 0)])]
         corners = corners[np.isfinite(corners).all((1, 2))]
         veils = np.column_stack(camera.boxes_around(corners))
-    return shadow.build_shadow_map(_PROJECTIONS[camera.projection], camera.view_from_world, camera.left, camera.top,
+    return shadow.build_shadow_map(PROJECTION_CODES[camera.projection], camera.view_from_world, camera.left, camera.top,
                                    *camera.pixel_size, view.gbuffer.depth, source, veils)
 
 
