@@ -134,6 +134,8 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
         return "there is no lamp"
     if name == "world" and frame.world.is_black:
         return "the world is black"
+    if name == "ssdo":
+        return "rays through the triangles find its light also off screen"
     if name == "rsm" and not any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views):
         return "no lamp lights a surface" if frame.lights else "there is no lamp"
     return None

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 
 import numpy as np
 
 from ..core.frame import Frame, GBuffer
-from ..core.transforms import Projection
+from ..core.transforms import Projection, normalized
 from ..kernels import shadow
+from ..kernels.bvh import Bvh
+from ..kernels.pilot import cast_rays
 from ..kernels.screen import Screen, build_screen
+from ..kernels.vec3 import f32
 
 PROJECTION_CODES = {Projection.PERSPECTIVE: shadow.PERSPECTIVE, Projection.ORTHOGRAPHIC: shadow.ORTHOGRAPHIC,
                     Projection.EQUIRECTANGULAR: shadow.EQUIRECTANGULAR}
 TILE_PX = 8                 # edge of a tile: a cache line of float32 is 16 wide, and skies end at curves
+NEAR_SHARE = 1e-5           # of the scene's size: what rays of the overscan pass over before the eye, like a near clip
 MIRROR_ROUGHNESS = 0.1      # below it the GGX lobe is narrower than 2 degrees: one ray a pixel is enough
 
 
@@ -31,6 +36,51 @@ def screen_of(frame: Frame) -> Screen:
     camera, g = frame.camera, frame.gbuffer
     return build_screen(PROJECTION_CODES[camera.projection], camera.view_from_world, camera.left, camera.top,
                         *camera.pixel_size, g.depth, g.position_ws, g.normal_ws)
+
+
+def coarse_screen(screen: Screen, step: int) -> Screen:
+    """The lattice of every `step`-th pixel, from step // 2 on, as a screen of its own."""
+    first = step // 2
+    shift = first + 0.5 - 0.5 * step        # the lattice's first pixel is `step` wide around the centre of pixel `first`
+    images = (np.ascontiguousarray(image[first::step, first::step])
+              for image in (screen.depth, screen.position_ws, screen.normal_ws))
+    return Screen(screen.projection, screen.view_from_world, f32(screen.left + shift * screen.step_x),
+                  f32(screen.top - shift * screen.step_y), f32(step * screen.step_x), f32(step * screen.step_y), *images)
+
+
+def wide_screen(frame: Frame, margin_px: int, bvh: Bvh) -> Screen:
+    """The camera's view, `margin_px` pixels wider on every side: overscan, by rays through the scene's triangles.
+
+    Pixel (i, j) of the frame is pixel (i + margin_px, j + margin_px) here, unchanged. Around it stand geometric normals
+    on the viewer's side; materials that a ray would pass are met like any other.
+    """
+    camera, g = frame.camera, frame.gbuffer
+    step_x, step_y = camera.pixel_size
+    wide = dataclasses.replace(
+        camera, width_px=camera.width_px + 2 * margin_px, height_px=camera.height_px + 2 * margin_px,
+        left=camera.left - margin_px * step_x, right=camera.right + margin_px * step_x,
+        bottom=camera.bottom - margin_px * step_y, top=camera.top + margin_px * step_y)
+    inner = (slice(margin_px, -margin_px), slice(margin_px, -margin_px))
+    around = np.ones((wide.height_px, wide.width_px), bool)
+    around[inner] = False
+    origin_vs, direction_vs = (rays[around] for rays in wide.rays_vs())
+    rotation = wide.world_from_view[:3, :3]
+    origin = (origin_vs @ rotation.T + wide.position_ws).astype(np.float32)
+    direction = (direction_vs @ rotation.T).astype(np.float32)
+    low, high = frame.geometry.bounds_ws
+    near = NEAR_SHARE * frame.scale_m
+    reach = float(np.linalg.norm(np.maximum(np.abs(low - wide.position_ws), np.abs(high - wide.position_ws)))) + near
+    distance, slot, _, _ = cast_rays(origin, direction, bvh, f32(near), f32(reach))
+    corners = frame.geometry.corners_ws[bvh.source[slot]] if len(bvh.source) else np.zeros((len(slot), 3, 3), np.float32)
+    face = normalized(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    face[(face * direction).sum(-1) > 0] *= -1
+    depth, normal = (np.empty(around.shape + tail, np.float32) for tail in ((), (3,)))
+    depth[inner], normal[inner] = g.depth, g.normal_ws
+    depth[around], normal[around] = distance, np.where(slot[:, None] < 0, np.float32([0, 0, 1]), face)
+    position = wide.positions_ws(depth)
+    position[inner] = g.position_ws
+    return build_screen(PROJECTION_CODES[wide.projection], wide.view_from_world, wide.left, wide.top, step_x, step_y,
+                        depth, position, normal)
 
 
 def classify_tiles(gbuffer: GBuffer, world_irradiance: np.ndarray | None = None,
