@@ -140,6 +140,8 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
     if name == "ssr" and not (frame.lights or not frame.world.is_black or frame.gbuffer.emission[mask].any()
                               or (frame.geometry is not None and frame.geometry.emission.any())):
         return "there is no light to reflect"
+    if name == "ssdo":
+        return "rays through the triangles find its light also off screen"
     if name == "rsm" and not any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views):
         return "no lamp lights a surface" if frame.lights else "there is no lamp"
     return None

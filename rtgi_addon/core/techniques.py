@@ -165,9 +165,40 @@ class SsaoParams(Params):
         low=0.0, high=1.0, soft_high=0.5)
 
 
+@dataclass(frozen=True)
+class SsdoParams(Params):
+    """Screen-space directional occlusion: world light by direction, and the bounce from near surfaces in view."""
+
+    form: str = param(
+        "SECTORS", "How the surroundings of a pixel are looked at",
+        choices=(("SECTORS", "Sectors",
+                  "Slices around the viewer's direction, 64 sectors each: cosine and solid angle exact"),
+                 ("SAMPLES", "As published",
+                  "Random points in the hemisphere (Ritschel, Grosch and Seidel 2009): rough, and wrong close to a corner")))
+    radius_m: float = param(
+        0.0, "How far surfaces shadow and light each other; 0 takes 20 % of the scene's size", low=0.0, high=1e6,
+        soft_high=100.0, unit="m")
+    thickness: float = param(
+        0.05, "Depth of what only shows its front, as a share of the radius; thick hides light behind thin things",
+        low=0.0, high=1.0)
+    slices: int = param(
+        1, "Slices at each gathered point; noise falls faster than with the square root", low=1, high=64, soft_high=8)
+    steps: int = param(
+        8, "Steps along each side of a slice, before edges are sought between them; few miss small things", low=1, high=64,
+        soft_high=32)
+    samples: int = param(
+        32, "Points around each pixel in the published form; noise falls with the square root", low=1, high=1024,
+        soft_high=128)
+    lattice_px: int = param(
+        2, "Distance between gathered points; pixels between them are interpolated along their surface", low=1, high=8,
+        unit="px")
+    blur: int = param(
+        2, "Radius of the edge-preserving blur in gathered points; 0 leaves the noise", low=0, high=8, unit="px")
+
+
 TECHNIQUE_PARAMS: dict[str, type[Params]] = {
     "direct": DirectParams, "world": WorldParams, "rsm": RsmParams, "hbao": HbaoParams, "ssao": SsaoParams,
-    "ssr": SsrParams}
+    "ssdo": SsdoParams, "ssr": SsrParams}
 
 # these run in every render and have no toggle
 ALWAYS_ON = ("direct", "world")
@@ -178,6 +209,7 @@ LABELS: dict[str, str] = {
     "rsm": "Reflective Shadow Maps",
     "hbao": "Ambient Occlusion (HBAO)",
     "ssao": "Ambient Occlusion (SSAO)",
+    "ssdo": "Directional Occlusion (SSDO)",
     "ssr": "Screen-Space Reflections",
 }
 
@@ -189,6 +221,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
         "hbao": {"slices": 2, "steps": 8, "lattice_px": 2, "overscan": 0.0},
         "ssao": {"samples": 8, "lattice_px": 2, "overscan": 0.0},
+        "ssdo": {"slices": 1, "steps": 6, "lattice_px": 2, "samples": 16},
         "ssr": {"samples": 8},
     },
     "BALANCED": {
@@ -197,6 +230,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
         "hbao": {"slices": 2, "steps": 12, "lattice_px": 1, "overscan": 0.0},
         "ssao": {"samples": 16, "lattice_px": 1, "overscan": 0.0},
+        "ssdo": {"slices": 1, "steps": 8, "lattice_px": 2, "samples": 32},
         "ssr": {"samples": 16},
     },
     "QUALITY": {
@@ -205,6 +239,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
         "hbao": {"slices": 4, "steps": 32, "lattice_px": 1, "overscan": 0.15},
         "ssao": {"samples": 64, "lattice_px": 1, "overscan": 0.15},
+        "ssdo": {"slices": 2, "steps": 16, "lattice_px": 1, "samples": 64},
         "ssr": {"samples": 64},
     },
 }

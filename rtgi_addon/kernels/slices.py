@@ -70,10 +70,8 @@ def share_below(a, v, s, end):
 
     Below the surface it is `end`: 1 for what was looked for on the positive side, 0 on the negative one.
     """
-    inv = ONE / math.sqrt(max(v * v + s * s, TINY))
-    c, q = v * inv, s * inv
-    t = fast_atan2(q, c)
-    f = QUARTER * (a.cos_g - (c * c - q * q) * a.cos_g - TWO * q * c * a.sin_g + TWO * t * a.sin_g)
+    inv2, t = ONE / max(v * v + s * s, TINY), fast_atan2(s, v)
+    f = QUARTER * (a.cos_g - ((v * v - s * s) * a.cos_g + TWO * v * s * a.sin_g) * inv2 + TWO * t * a.sin_g)
     f = f if t >= ZERO else -f
     f = min(max((f - a.start) * a.rcp_open, ZERO), ONE)
     return f if v * a.n_v + s * a.n_s > ZERO else end

@@ -8,11 +8,12 @@ from .direct import TECHNIQUE as _DIRECT
 from .hbao import TECHNIQUE as _HBAO
 from .rsm import TECHNIQUE as _RSM
 from .ssao import TECHNIQUE as _SSAO
+from .ssdo import TECHNIQUE as _SSDO
 from .ssr import TECHNIQUE as _SSR
 from .world import TECHNIQUE as _WORLD
 
 # in the order in which they run; where several could supply the same light, the planner prefers the first
-TECHNIQUES: dict[str, Technique] = {t.name: t for t in (_DIRECT, _WORLD, _RSM, _HBAO, _SSAO, _SSR)}
+TECHNIQUES: dict[str, Technique] = {t.name: t for t in (_DIRECT, _WORLD, _RSM, _HBAO, _SSAO, _SSDO, _SSR)}
 
 
 def technique(name: str) -> Technique:

@@ -32,6 +32,14 @@ def test_a_black_world_and_no_lamp_leave_everything_out(frame):
     assert ("World Light", "the world is black") in plan.left_out
 
 
+def test_the_planner_leaves_directional_occlusion_to_those_who_ask_for_it(frame):
+    dark = dataclasses.replace(make_room_frame(24, 16, (LightKind.POINT,)))
+    for seen in (frame, dark):
+        assert "ssdo" not in planner.plan_frame(seen, default_settings(), planner.CapturePlan()).techniques
+    plan = planner.plan_frame(frame, default_settings(techniques=["ssdo"]), planner.CapturePlan())
+    assert "ssdo" in plan.techniques and "world" not in plan.techniques
+
+
 def _light(value, **kwargs):
     return PassResult({Transport.BOUNCE_GLOSSY: np.full((1, 1, 3), value, np.float32)}, **kwargs)
 
