@@ -49,7 +49,8 @@ def lit(frame: Frame) -> Context:
 def painted(frame: Frame, image: np.ndarray) -> Context:
     """A context whose pixels send out `image` (H, W, 3) and nothing else."""
     context = Context()
-    context.light = {Transport.DIRECT_GLOSSY: np.ascontiguousarray(image, np.float32)}
+    albedo = np.maximum(frame.gbuffer.albedo, 1e-6)
+    context.light = {Transport.EMISSION_DIFFUSE: np.ascontiguousarray(image * np.pi / albedo, np.float32)}
     return context
 
 

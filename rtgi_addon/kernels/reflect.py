@@ -17,8 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .brdf import fit_lobe, fresnel, sample_lobe
-from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y, width_at
+from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y
 from .jit import device_jit, pixel_jit, prange
+from .lit_hits import edge_fade, gloss_of_lamps, lit_there
 from .sampling import r2_sequence, uniform
 from .screen import HALF, seen_vs, turn_to_view, turn_to_world, view_vector
 from .screen_rays import ENDED, HIT, distance_at, march, march_evenly, ray_in_picture
@@ -33,20 +34,6 @@ SHARE, WEIGHT, NEARNESS = 6, 7, 8     # how much of the lobe is known, its sum (
                                       # the mean of 1 / length of its rays in 1/m
 MIRROR_ALPHA = f32(1e-4)    # roughness 0.01: the lobe is a tenth of a pixel wide
 LEAST_COSINE = f32(0.02)    # of viewer and normal: below it the normal is turned towards the viewer
-
-
-class Gloss(NamedTuple):
-    """What the camera's pixels send out and how they reflect.
-
-    leaving (H, W, 3) float32 W/(m2 sr): light that leaves each pixel after direct light has reached it; emission (H, W, 3):
-    its own; specular (H, W, 3), roughness (H, W) float32; albedos: `brdf.albedo_table()`.
-    """
-
-    leaving: np.ndarray
-    emission: np.ndarray
-    specular: np.ndarray
-    roughness: np.ndarray
-    albedos: np.ndarray
 
 
 class Rules(NamedTuple):
@@ -130,58 +117,13 @@ def usable_normal(n, plane, viewer):
 
 
 @device_jit
-def lit_there(s, planes, gloss, column, row, h, slope_x, slope_y, light):
-    """Light that the picture shows at a place of height h into `light` (6,); False where no pixel shows that surface.
-
-    Of the four pixels around those are interpolated that show the surface, whose slopes are known: their planes and it agree
-    to a pixel's width, at the place and at the pixel. At the foot of a wall the floor passes through the same place.
-    """
-    height, width = planes.shape[0], planes.shape[1]
-    left, top = int(math.floor(column - HALF)), int(math.floor(row - HALF))
-    fx, fy = column - HALF - f32(left), row - HALF - f32(top)
-    least, total = width_at(s, h), ZERO
-    for c in range(6):
-        light[c] = ZERO
-    for y in range(max(top, 0), min(top + 2, height)):
-        for x in range(max(left, 0), min(left + 2, width)):
-            dx, dy = f32(x) + HALF - column, f32(y) + HALF - row
-            there = planes[y, x, HEIGHT] - h - slope_x * dx - slope_y * dy
-            tilt = abs(planes[y, x, SLOPE_X] - slope_x) + abs(planes[y, x, SLOPE_Y] - slope_y)
-            here = planes[y, x, HEIGHT] - h - planes[y, x, SLOPE_X] * dx - planes[y, x, SLOPE_Y] * dy
-            if not max(max(abs(there), abs(here)), tilt) <= least:
-                continue
-            # a place at the very centre of a neighbour may have nothing else to go by
-            w = (fx if x > left else ONE - fx) * (fy if y > top else ONE - fy) + f32(1e-6)
-            total += w
-            for c in range(3):
-                light[c] += w * gloss.leaving[y, x, c]
-                light[3 + c] += w * gloss.emission[y, x, c]
-    if not total > ZERO:
-        return False
-    for c in range(6):
-        light[c] /= total
-    return True
-
-
-@device_jit
-def edge_fade(s, column, row, fade_px):
-    """1 inside the picture, smoothly 0 at its edge over `fade_px`."""
-    if fade_px <= ZERO:
-        return ONE
-    height, width = s.depth.shape
-    t = min(min(column, f32(width) - column), min(row, f32(height) - row)) / fade_px
-    t = min(max(t, ZERO), ONE)
-    return t * t * (f32(3) - f32(2) * t)
-
-
-@device_jit
 def place_in_block(i, j):
     """Number of a pixel in its block of 4x4 along a Morton curve: neighbours take neighbouring points of a sequence."""
     return (j & 1) | ((i & 1) << 1) | ((j & 2) << 1) | ((i & 2) << 2)
 
 
 @device_jit
-def _reflect_block(index, begin, end, samples, s, pyramid, gloss, rules, seed, rays):
+def _reflect_block(index, begin, end, samples, s, pyramid, gloss, lights, rules, seed, rays):
     """Draw and follow the rays of the pixels begin to end of `index`.
 
     All of it in one function: the tuples of arrays are hundreds of numbers that each further call would copy.
@@ -230,6 +172,13 @@ def _reflect_block(index, begin, end, samples, s, pyramid, gloss, rules, seed, r
                             rays.light[r, c] = gloss.leaving[at_i, at_j, c]
                             rays.light[r, 3 + c] = gloss.emission[at_i, at_j, c]
                     share, length_m = edge_fade(s, column, row, rules.fade_px), f32(distance_at(ray, at))
+                    hit = along(p, d, length_m)
+                    sent = gloss_of_lamps(
+                        lights, hit, load_pixel(s.normal_ws, at_i, at_j), scaled(d, -ONE), view_vector(s, hit),
+                        load_pixel(gloss.specular, at_i, at_j), gloss.roughness[at_i, at_j], gloss.irradiance[at_i, at_j],
+                        gloss.albedos, uniform(index[m], k, seed + 1), uniform(index[m], k, seed + 2))
+                    for c in range(3):
+                        rays.light[r, c] += sent[c]
                 elif what == ENDED and ray.dh <= 0.0:    # clear to behind the farthest thing that the camera sees
                     answer = SKY
                 longest = max(abs(ray.dx), abs(ray.dy))
@@ -242,15 +191,15 @@ def _reflect_block(index, begin, end, samples, s, pyramid, gloss, rules, seed, r
 
 
 @pixel_jit
-def reflect_pixels(index, samples, screen, pyramid, gloss, rules, seed, rays):
+def reflect_pixels(index, samples, screen, pyramid, gloss, lights, rules, seed, rays):
     """Draw `samples` rays from the lobe of each pixel of `index` (M,) and follow them through the picture into `rays`.
 
     Ray m * samples + k is sample k of pixel m; `rays` must come from `make_rays`.
     """
     blocks = (len(index) + BLOCK - 1) // BLOCK
     for block in prange(blocks):
-        _reflect_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, pyramid, gloss, rules,
-                       seed, rays)
+        _reflect_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, pyramid, gloss, lights,
+                       rules, seed, rays)
 
 
 @pixel_jit

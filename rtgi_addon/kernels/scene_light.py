@@ -11,33 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import INV_PI, fit_lobe, ggx_lobe, lobe_albedos
-from .bvh import STACK, closest_hit, triangle_normal, visibility
+from .brdf import lobe_albedos
+from .bvh import STACK, closest_hit, triangle_normal
 from .depth_pyramid import height_at, plane_slopes
 from .jit import device_jit, pixel_jit, prange
-from .lamps import LEAST_ALPHA, Lamp, lamp_at, lamp_place
-from .reflect import ASK, edge_fade, lit_there
+from .lit_hits import edge_fade, gloss_of_lamps, light_of_lamps, lit_there
+from .reflect import ASK
 from .sampling import cosine_hemisphere, uniform
 from .screen import is_inside, to_screen, turn_to_view, view_vector
 from .shadow import ORTHOGRAPHIC
 from .sky import sky_texel
-from .vec3 import (
-    ONE,
-    ZERO,
-    Vec3,
-    add,
-    along,
-    begun,
-    dot,
-    f32,
-    lifted,
-    load,
-    normalized_or,
-    scaled,
-    sub,
-    tangent_frame,
-    to_world,
-)
+from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
 
 BLURRED = f32(0.3)          # roughness from which the world's blurred map, 2.8 degrees a texel, serves a ray
 BLOCK = 64                  # rays that one thread follows in a row
@@ -47,79 +31,17 @@ class Surroundings(NamedTuple):
     """The scene beyond the picture.
 
     albedo (T, 3, 3) and emission (T, 3) of the triangles, material (T,) int32; substance (M, 5) float32 of the materials:
-    colour of the glossy lobe, roughness, F0 (see `passes.ssr.substance_table`). Lamps: kinds (L,) int64, places (L, 4, 3),
-    shapes (L, 7) as in `lamps.Lamp`, powers (L, 6) float32 for diffuse and glossy lobes, shadows (L,) uint8. sky and
-    blurred_sky (h, w, 3): the world's radiance; lights_up: whether world or emissive surfaces light anything.
+    colour of the glossy lobe, roughness, F0 (see `passes.ssr.substance_table`). sky and blurred_sky (h, w, 3): the world's
+    radiance; lights_up: whether world or emissive surfaces light anything.
     """
 
     albedo: np.ndarray
     emission: np.ndarray
     material: np.ndarray
     substance: np.ndarray
-    kinds: np.ndarray
-    places: np.ndarray
-    shapes: np.ndarray
-    powers: np.ndarray
-    shadows: np.ndarray
     sky: np.ndarray
     blurred_sky: np.ndarray
     lights_up: bool
-
-
-@device_jit
-def _lamp(around, k):
-    shape = around.shapes[k]
-    return Lamp(around.kinds[k], around.places[k], shape[0], shape[1], shape[2], shape[3], shape[4], shape[5], shape[6])
-
-
-@device_jit
-def _given(around, k, albedo, diffuse, specular, glossy):
-    """Radiance from lamp k by its share for the diffuse lobe and for the glossy one."""
-    w = around.powers[k]
-    return Vec3(w[0] * albedo.x * diffuse + w[3] * specular.x * glossy,
-                w[1] * albedo.y * diffuse + w[4] * specular.y * glossy,
-                w[2] * albedo.z * diffuse + w[5] * specular.z * glossy)
-
-
-@device_jit
-def light_of_lamps(bvh, around, stack, p, n, towards, albedo, specular, roughness, albedos, offset_m, u, v, pick):
-    """Radiance that point p, normal n, sends along `towards` of the lamps' light: one shadow ray, to a lamp drawn by share.
-
-    (u, v) is the place on the lamp, `pick` draws the lamp; all in [0, 1).
-    """
-    reflectance = max(specular.x, max(specular.y, specular.z))
-    alpha, f0, gain = max(roughness * roughness, LEAST_ALPHA), ZERO, ZERO
-    if reflectance > f32(1e-3):
-        f0, gain = fit_lobe(reflectance, max(dot(n, towards), ZERO), alpha, albedos)
-    total, kept, chosen = ZERO, ZERO, -1
-    light, way = Vec3(ZERO, ZERO, ZERO), Vec3(ZERO, ZERO, ZERO)
-    for k in range(around.kinds.shape[0]):
-        lamp = _lamp(around, k)
-        x, y, share = lamp_place(lamp, p, u, v)
-        d, weight = lamp_at(lamp, p, x, y)
-        unit = normalized_or(d, n)
-        cosine = dot(n, unit)
-        weight *= share
-        if not weight > ZERO or not cosine > ZERO:
-            continue
-        glossy = weight * gain * ggx_lobe(n, towards, unit, alpha * alpha, f0) if gain > ZERO else ZERO
-        given = _given(around, k, albedo, INV_PI * weight * cosine, specular, glossy)
-        amount = given.x + given.y + given.z
-        if not amount > ZERO:
-            continue
-        total += amount
-        share = amount / total
-        if pick < share:
-            chosen, kept, light, way, pick = k, amount, given, d, pick / share
-        else:
-            pick = (pick - share) / (ONE - share)
-    if chosen < 0:
-        return light
-    arrives = ONE
-    if around.shadows[chosen] != 0:
-        start = begun(lifted(p, n, offset_m), way, offset_m)
-        arrives = visibility(bvh, stack, start, sub(add(p, way), start))
-    return scaled(light, arrives * total / kept)
 
 
 @device_jit
@@ -136,7 +58,7 @@ def _colours_at(around, albedos, t, a, b, cosine):
 
 
 @device_jit
-def _ask_block(asked, begin, end, index, samples, screen, planes, gloss, bvh, around, rules, seed, rays):
+def _ask_block(asked, begin, end, index, samples, screen, planes, gloss, lights, bvh, around, rules, seed, rays):
     """Answer the rays begin to end of `asked`; all of it in one function, see `reflect._reflect_block`."""
     width = screen.depth.shape[1]
     stack, light, other = np.empty(STACK, np.int32), np.empty(6, np.float32), np.empty(3, np.float32)
@@ -168,10 +90,17 @@ def _ask_block(asked, begin, end, index, samples, screen, planes, gloss, bvh, ar
                 slope_x, slope_y = plane_slopes(screen, turn_to_view(screen, n), across, down, h)
                 if lit_there(screen, planes, gloss, across, down, h, slope_x, slope_y, light):
                     share = edge_fade(screen, across, down, rules.fade_px)
+                    i, j = int(down), int(across)
+                    sent = gloss_of_lamps(
+                        lights, p, load_pixel(screen.normal_ws, i, j), scaled(d, -ONE), view_vector(screen, p),
+                        load_pixel(gloss.specular, i, j), gloss.roughness[i, j], gloss.irradiance[i, j], gloss.albedos,
+                        uniform(q, 11, seed), uniform(q, 12, seed))
+                    for c in range(3):
+                        light[c] += sent[c]
             if share < ONE:
                 source = bvh.source[slot]
                 albedo, specular, roughness = _colours_at(around, gloss.albedos, source, a, b, -dot(n, d))
-                sent = light_of_lamps(bvh, around, stack, p, n, scaled(d, -ONE), albedo, specular, roughness, gloss.albedos,
+                sent = light_of_lamps(bvh, lights, stack, p, n, scaled(d, -ONE), albedo, specular, roughness, gloss.albedos,
                                       rules.offset_m, uniform(q, 11, seed), uniform(q, 12, seed), uniform(q, 13, seed))
                 other[0], other[1], other[2] = sent.x, sent.y, sent.z
                 if around.lights_up:
@@ -194,9 +123,9 @@ def _ask_block(asked, begin, end, index, samples, screen, planes, gloss, bvh, ar
 
 
 @pixel_jit
-def ask_scene(asked, index, samples, screen, planes, gloss, bvh, around, rules, seed, rays):
+def ask_scene(asked, index, samples, screen, planes, gloss, lights, bvh, around, rules, seed, rays):
     """Answer the rays `asked` (K,) of `rays`, those of `reflect_pixels`: what the picture did not give is added."""
     blocks = (len(asked) + BLOCK - 1) // BLOCK
     for block in prange(blocks):
-        _ask_block(asked, block * BLOCK, min((block + 1) * BLOCK, len(asked)), index, samples, screen, planes, gloss, bvh,
-                   around, rules, seed, rays)
+        _ask_block(asked, block * BLOCK, min((block + 1) * BLOCK, len(asked)), index, samples, screen, planes, gloss, lights,
+                   bvh, around, rules, seed, rays)

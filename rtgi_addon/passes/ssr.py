@@ -7,11 +7,11 @@ The glossy bounce that leaves a pixel towards the viewer is
 with f the GGX lobe around the mirror direction, F the reflectance that Cycles' Glossy Color pass tells (Fresnel, colour and
 multiple scattering are in it, so nothing else is multiplied), and L_hit the light of the lamps, of the world and of emissive
 surfaces that the hit surface sends back. Rays are drawn from the lobe (`kernels.brdf.sample_lobe`), followed through the
-picture (`kernels.screen_rays`) and, where it cannot answer, through the triangles (`kernels.reflect`).
+picture (`kernels.screen_rays`) and, where it cannot answer, through the triangles (`kernels.scene_light`).
 
-One bounce: L_hit is taken from what earlier techniques found of direct light, never from a bounce. Its glossy part is the
-one towards the camera, where the picture is asked. Light that the ray finds at its end without any bounce, the world's and
-that of emissive surfaces, is Cycles' Glossy Direct and goes into WORLD_GLOSSY.
+One bounce: L_hit is taken from what earlier techniques found of direct light, never from a bounce. Light that the ray finds
+at its end without any bounce, the world's and that of emissive surfaces, is Cycles' Glossy Direct and goes into
+WORLD_GLOSSY.
 
 Rough surfaces are traced on a lattice and the noise is averaged over what blurs anyway (`kernels.gloss_filter`).
 """
@@ -29,18 +29,21 @@ from ..kernels.brdf import GAIN_STEPS, albedo_table
 from ..kernels.bvh import Bvh, build_bvh
 from ..kernels.depth_pyramid import build_pyramid
 from ..kernels.gloss_filter import FILTERED, blur_of_pixels, smooth_reflections, spread_reflections
-from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Gloss, Rules, collect_rays, make_rays, reflect_pixels
+from ..kernels.lit_hits import Gloss, Lights
+from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Rules, collect_rays, make_rays, reflect_pixels
 from ..kernels.scene_light import Surroundings, ask_scene
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .direct import pack_lamp
-from .screen import screen_of
+from .screen import MIRROR_ROUGHNESS, screen_of
 from .world import shrink_map
 
 NEGLIGIBLE = 1e-3           # Glossy Color below it is left out: a thousandth of what is reflected
 SLACK_PX = 0.5              # thickness of surfaces where the triangles know better; thicker ones stand in the way of rays
                             # that pass behind them, thinner ones leave more rays to the triangles (1 % for half of it)
 STEPS = ((0.12, 4), (0.03, 2))      # GGX alpha from which a surface is traced at every fourth, every second pixel
+BRIGHT = 0.25               # Glossy Color from which a surface, a metal, takes BRIGHT_SHARE times the rays: it shows so much
+BRIGHT_SHARE = 4            # more of their noise
 BLOCK_PIXELS = 16           # `samples` counts rays for this many pixels, 4x4
 FILTER_RADIUS = 4           # steps: a window of 9x9
 FILTER_REACH = 0.7          # standard deviation of the filter over the blur of the lobe: 1 has 2 % less error on five scenes
@@ -99,10 +102,9 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
     spread_reflections(smooth, blur, *surface, step, traced, weak)
     if weak.any():
         tracer.trace(np.where(weak, WEAK_STEP, 0), weak)
-        traced |= weak
         step = np.where(weak, 1, step)
-        blur = blur_of_pixels(tracer.results, *surface, step, traced, f32(FILTER_REACH))
-        smooth[weak] = smooth_reflections(tracer.results, blur, weak, *surface, step, traced, FILTER_RADIUS)[weak]
+        blur = blur_of_pixels(tracer.results, *surface, step, weak, f32(FILTER_REACH))
+        smooth[weak] = smooth_reflections(tracer.results, blur, weak, *surface, step, weak, FILTER_RADIUS)[weak]
     weak_share = float(np.count_nonzero(weak) / np.count_nonzero(step))
     return _coloured(frame, smooth, fallback == "CONES", context, tracer.diagnostics | {"weak_share": weak_share})
 
@@ -152,13 +154,11 @@ def _fallback_of(frame: Frame, params: SsrParams, context: Context) -> str:
 
 
 def leaving_light(frame: Frame, context: Context) -> np.ndarray:
-    """(H, W, 3) float32 W/(m2 sr): what each pixel sends out after direct light has reached it."""
+    """(H, W, 3) float32 W/(m2 sr): what each pixel's matt surface sends out after direct light has reached it."""
     arrived = [context.light[t] for t in (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE)
                if t in context.light]
     out = frame.gbuffer.albedo * np.float32(1 / math.pi)
     out *= sum(arrived[1:], start=arrived[0]) if arrived else np.float32(0)
-    if Transport.DIRECT_GLOSSY in context.light:
-        out += context.light[Transport.DIRECT_GLOSSY]
     return out
 
 
@@ -203,23 +203,26 @@ def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
     return np.array(rows, np.float32).reshape(-1, 5)
 
 
-def _surroundings(frame: Frame, geometry: Geometry, far_m: float) -> Surroundings:
-    lamps = [pack_lamp(light, far_m) for light in frame.lights]
-    lights = frame.lights
+def _surroundings(frame: Frame, geometry: Geometry) -> Surroundings:
     sky = shrink_map(frame.world.radiance, MAX_SKY)
     blurred = shrink_map(frame.world.radiance)
-    powers = [[*(light.power * light.diffuse_factor), *(light.power * light.glossy_factor)] for light in lights]
     material = np.clip(geometry.material, 0, max(len(frame.materials) - 1, 0)).astype(np.int32)
     albedo = geometry.albedo
     if geometry.cutouts is not None:
         albedo = np.minimum(albedo / geometry.coverage(np.arange(len(geometry)))[:, None, None], 1)
     return Surroundings(
         np.ascontiguousarray(albedo, np.float32), np.ascontiguousarray(geometry.emission, np.float32), material,
-        substance_table(frame.materials or (Material("none"),)), np.array([lamp.kind for lamp in lamps], np.int64),
-        np.array([lamp.places for lamp in lamps], np.float32).reshape(-1, 4, 3),
-        np.array([lamp[2:] for lamp in lamps], np.float32).reshape(-1, 7), np.array(powers, np.float32).reshape(-1, 6),
-        np.array([light.casts_shadow for light in lights], np.uint8), sky, blurred,
-        bool(sky.any() or geometry.emission.any()))
+        substance_table(frame.materials or (Material("none"),)), sky, blurred, bool(sky.any() or geometry.emission.any()))
+
+
+def pack_lights(frame: Frame, far_m: float) -> Lights:
+    """All lamps as kernels take them; shadow rays towards a sun are `far_m` long."""
+    lights, lamps = frame.lights, [pack_lamp(light, far_m) for light in frame.lights]
+    powers = [[*(light.power * light.diffuse_factor), *(light.power * light.glossy_factor)] for light in lights]
+    return Lights(np.array([lamp.kind for lamp in lamps], np.int64),
+                  np.array([lamp.places for lamp in lamps], np.float32).reshape(-1, 4, 3),
+                  np.array([lamp[2:] for lamp in lamps], np.float32).reshape(-1, 7),
+                  np.array(powers, np.float32).reshape(-1, 6), np.array([light.casts_shadow for light in lights], np.uint8))
 
 
 def _reach_m(frame: Frame, bvh: Bvh) -> float:
@@ -241,10 +244,15 @@ class _Tracer:
         has_rays = fallback == "RAYS"
         screen = screen_of(frame)
         pyramid = build_pyramid(screen, SLACK_PX, 0.0 if has_rays else params.thickness * frame.scale_m)
-        gloss = Gloss(leaving_light(frame, context), g.emission, g.specular, g.roughness, albedo_table(frame.keeps_energy))
+        lit = context.light.get(Transport.DIRECT_DIFFUSE)
+        irradiance = np.zeros(g.shape, np.float32) if lit is None else lit @ np.full(3, 1 / 3, np.float32)
+        gloss = Gloss(leaving_light(frame, context), g.emission, irradiance, g.specular, g.roughness,
+                      albedo_table(frame.keeps_energy))
         bvh = context.bvh(frame.geometry) if has_rays else build_bvh(np.zeros((0, 3, 3), np.float32))
         reach_m = _reach_m(frame, bvh)
         fade_px = params.edge_fade * min(g.shape)
+        # a mirror shows itself by one ray
+        self._is_bright = (np.max([g.specular[..., c] for c in range(3)], 0) > BRIGHT) & (g.roughness > MIRROR_ROUGHNESS)
         self.results = np.zeros((*g.shape, NEARNESS + 1), np.float32)
         self.counts = {"rays": 0, "steps": 0, "hits": 0, "asked": 0, "traced_pixels": 0}
         self._params, self._context, self._seed, self._is_left_open = params, context, seed, fallback == "CONES"
@@ -252,25 +260,29 @@ class _Tracer:
                             params.exact_rays and has_rays, has_rays, f32(fade_px), f32(frame.ray_offset_m),
                             f32(reach_m))
         self.screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
-        self._around = _surroundings(frame, geometry, reach_m)
+        self._lights = pack_lights(frame, reach_m)
+        self._around = _surroundings(frame, geometry)
 
     def trace(self, step: np.ndarray, wanted: np.ndarray) -> None:
-        """Reflect the `wanted` pixels (H, W) bool with the rays that a pixel of their step takes."""
+        """Reflect the `wanted` pixels (H, W) bool with the rays that a pixel of their step and brightness takes."""
         for size in np.unique(step[wanted]):
-            index = np.flatnonzero(wanted & (step == size))
-            samples = max(1, round(self._params.samples * int(size) ** 2 / BLOCK_PIXELS))
-            tile = max(TILE_RAYS // samples, 1)
-            for first in range(0, len(index), tile):
-                self._context.checkpoint("Reflections", first / len(index))
-                self._trace_tile(index[first:first + tile], samples)
+            for is_bright in (False, True):
+                index = np.flatnonzero(wanted & (step == size) & (self._is_bright == is_bright))
+                share = int(size) ** 2 / BLOCK_PIXELS * (BRIGHT_SHARE if is_bright else 1)
+                samples = max(1, round(self._params.samples * share))
+                tile = max(TILE_RAYS // samples, 1)
+                for first in range(0, len(index), tile):
+                    self._context.checkpoint("Reflections", first / len(index))
+                    self._trace_tile(index[first:first + tile], samples)
 
     def _trace_tile(self, index: np.ndarray, samples: int) -> None:
         rays = make_rays(len(index) * samples)
-        reflect_pixels(index, samples, self.screen, self._pyramid, self._gloss, self._rules, self._seed, rays)
+        reflect_pixels(index, samples, self.screen, self._pyramid, self._gloss, self._lights, self._rules, self._seed,
+                       rays)
         if not self._is_left_open:
             asked = np.flatnonzero(rays.answer != KNOWN)
-            ask_scene(asked, index, samples, self.screen, self._pyramid.planes, self._gloss, self._bvh, self._around,
-                      self._rules, self._seed, rays)
+            ask_scene(asked, index, samples, self.screen, self._pyramid.planes, self._gloss, self._lights, self._bvh,
+                      self._around, self._rules, self._seed, rays)
         collect_rays(index, samples, rays, self._is_left_open, self._rules.offset_m, self.results)
         for name, number in (("rays", len(rays.answer)), ("steps", int(rays.steps.sum())),
                              ("hits", np.count_nonzero(rays.share)), ("asked", np.count_nonzero(rays.answer == ASK)),
@@ -282,7 +294,7 @@ class _Tracer:
         """Rays, steps in the picture, and the shares of rays that hit there and that the triangles were asked for."""
         rays = max(self.counts["rays"], 1)
         return {"rays": self.counts["rays"], "steps": self.counts["steps"], "traced_pixels": self.counts["traced_pixels"],
-                "hit_share": self.counts["hits"] / rays, "asked_share": self.counts["asked"] / rays}
+                "hit_share": float(self.counts["hits"] / rays), "asked_share": float(self.counts["asked"] / rays)}
 
 
 TECHNIQUE = Technique("ssr", "Screen-Space Reflections", SsrParams, compute_ssr,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from rtgi_addon.kernels.brdf import F0, albedo_table, fit_lobe, fresnel, ggx_lobe
+from rtgi_addon.kernels.brdf import F0, albedo_table, fit_lobe, fresnel, ggx_lobe, sample_lobe
 from rtgi_addon.kernels.vec3 import Vec3, f32
 
 UP = Vec3(f32(0), f32(0), f32(1))
@@ -97,3 +97,37 @@ def test_single_scattering_loses_what_the_microfacets_hide(cosine):
     alpha = 0.6
     _, gain = fit_lobe(f32(1), f32(cosine), f32(alpha), albedo_table(False))
     assert gain == pytest.approx(1, rel=1e-3) and hemispherical(cosine, alpha, 1.0) < 0.95
+
+
+def drawn(cosine, alpha, steps=96):
+    """Directions (N, 3) drawn from the lobe on an even grid of numbers, and their weights (N,)."""
+    out = [sample_lobe(UP, tilted(cosine), f32(alpha), f32((i + 0.5) / steps), f32((j + 0.5) / steps))
+           for i in range(steps) for j in range(steps)]
+    return np.array([d for d, _ in out]), np.array([w for _, w in out])
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.3, 0.98])
+@pytest.mark.parametrize("cosine", [0.2, 0.6, 0.98])
+def test_mean_weight_of_drawn_directions_is_the_lobes_albedo(cosine, alpha):
+    direction, weight = drawn(cosine, alpha)
+    assert (direction[:, 2] > 0).all() and (weight >= 0).all() and weight.max() < 1.02
+    # without Fresnel the lobe's integral is that of a perfect reflector
+    assert weight.mean() == pytest.approx(hemispherical(cosine, alpha, 1.0), rel=0.02)
+
+
+@pytest.mark.parametrize(("cosine", "alpha"), [(0.3, 0.5), (0.8, 0.25)])
+def test_drawn_directions_have_the_lobes_mean_direction(cosine, alpha):
+    # the moments of the lobe by a grid over the half sphere against those of the weighted draws
+    steps, total, mean = 400, 0.0, np.zeros(3)
+    for c in (np.arange(steps) + 0.5) / steps:
+        for phi in (np.arange(steps) + 0.5) / steps * 2 * math.pi:
+            d = tilted(c, phi)
+            lobe = ggx_lobe(UP, tilted(cosine), d, f32(alpha * alpha), f32(1))
+            total, mean = total + lobe, mean + lobe * np.array(d)
+    direction, weight = drawn(cosine, alpha)
+    assert np.allclose(weight @ direction / weight.sum(), mean / total, atol=0.005)
+
+
+def test_lobe_without_roughness_is_drawn_as_the_mirror_direction():
+    direction, weight = drawn(0.6, 0.0, 8)
+    assert np.allclose(direction, tilted(0.6, math.pi), atol=1e-6) and np.allclose(weight, 1)
