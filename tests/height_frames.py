@@ -26,8 +26,8 @@ def height_frame(height: Callable[[np.ndarray, np.ndarray], np.ndarray], size_px
                  **kwargs) -> Frame:
     """z = height(x, y) seen straight from above by an orthographic camera, with the normals of its slope.
 
-    The middle of the picture is the middle of a pixel for an odd `size_px`. Steps are walls: pixels beside one have the normal
-    of the side that they lie on, taken from the neighbour of like height.
+    The middle of the picture is the middle of a pixel for an odd `size_px`. Steps are walls: pixels beside one have the
+    normal of the side that they lie on, taken from the neighbour of like height.
     """
     above = np.eye(4)
     above[2, 3] = place

@@ -56,7 +56,8 @@ def compute_hbao(frame: Frame, params: HbaoParams, context: Context, seed: int =
         When the user asked to stop.
 
     Notes
-    ----- Ignores what lies off screen, hidden behind what the camera sees, or farther than the radius. Exact for an open
+    -----
+    Ignores what lies off screen, hidden behind what the camera sees, or farther than the radius. Exact for an open
     plane; with `multi_bounce` also for surfaces in a sphere of even reflectance.
     """
     radius = radius_of(params.radius_m, frame)

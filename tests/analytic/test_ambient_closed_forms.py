@@ -51,7 +51,8 @@ def from_middle(r: float, frame: Frame) -> tuple[int, int]:
 
 def plane_seen(projection: Projection, tilt_deg: float) -> Frame:
     """The plane z = 0, from above and tilted; the perspective picture's corners lie 50 degrees off its axis."""
-    place = looking(np.array([0.0, -10 * math.sin(math.radians(tilt_deg)), 10 * math.cos(math.radians(tilt_deg))]), np.zeros(3))
+    tilt = math.radians(tilt_deg)
+    place = looking(np.array([0.0, -10 * math.sin(tilt), 10 * math.cos(tilt)]), np.zeros(3))
     half = math.tan(math.radians(50)) / math.sqrt(2) if projection is Projection.PERSPECTIVE else 8.0
     return planes_frame(Camera(projection, place, 96, 96, -half, half, -half, half), [(np.zeros(3), (0, 0, 1))])
 

@@ -74,11 +74,12 @@ def farthest_px(frame: Frame, point: np.ndarray, viewer: np.ndarray, side: np.nd
     return float(np.hypot(column - start[0], row - start[1]).max())
 
 
-def sector_visibility(frame: Frame, i: int, j: int, radius: float, thickness: float, slices: int) -> tuple[float, np.ndarray]:
+def sector_visibility(frame: Frame, i: int, j: int, radius: float, thickness: float,
+                      slices: int) -> tuple[float, np.ndarray]:
     """(cosine-weighted visibility of pixel (i, j), its mean open direction times that) by slices around the viewer.
 
-    A direction of a slice is closed where it enters a sheet: a point seen on the slice's line, moved into the slice along the
-    surface of (i, j), and what lies up to `thickness` behind it on the camera's ray, inside the sphere of `radius`. Slices
+    A direction of a slice is closed where it enters a sheet: a point seen on the slice's line, moved into the slice along
+    the surface of (i, j), and what lies up to `thickness` behind it on the camera's ray, inside the sphere of `radius`. Slices
     weigh what of their taps lies in the picture, for taps at distances (on + on^2) / 2 of the way to the sphere's rim.
     """
     p, n = frame.gbuffer.position_ws[i, j].astype(float), frame.gbuffer.normal_ws[i, j].astype(float)
@@ -125,7 +126,8 @@ def sector_visibility(frame: Frame, i: int, j: int, radius: float, thickness: fl
     return light / open_light, bent / open_light
 
 
-def published_visibility(frame: Frame, i: int, j: int, radius: float, bias: float, has_falloff: bool, directions: int) -> float:
+def published_visibility(frame: Frame, i: int, j: int, radius: float, bias: float, has_falloff: bool,
+                         directions: int) -> float:
     """Visibility of pixel (i, j) by horizons: 1 - 1 / (2 pi) sum (sin h_m - sin h_{m-1}) W_m dtheta (Bavoil et al. 2008).
 
     Elevations over the view's XY plane, along evenly turned lines of the image plane. A point seen counts where the line
@@ -142,7 +144,9 @@ def published_visibility(frame: Frame, i: int, j: int, radius: float, bias: floa
     def on_plane(place: np.ndarray, height: float) -> np.ndarray:
         """The view-space point seen at a place of the screen that lies `height` over the tangent plane."""
         x, y = camera.left + place[0] * step_x, camera.top - place[1] * step_y
-        origin, ray = (np.array([x, y, 0.0]), np.array([0, 0, -1.0])) if is_parallel else (np.zeros(3), np.array([x, y, -1.0]))
+        origin, ray = np.zeros(3), np.array([x, y, -1.0])
+        if is_parallel:
+            origin, ray = np.array([x, y, 0.0]), np.array([0, 0, -1.0])
         return origin + (n @ p + height - n @ origin) / (n @ ray) * ray
 
     total, known = 0.0, 0.0
@@ -171,7 +175,7 @@ def published_visibility(frame: Frame, i: int, j: int, radius: float, bias: floa
 
 
 def ball_visibility(frame: Frame, i: int, j: int, radius: float, points: np.ndarray) -> float:
-    """min(1, 2 x share of `points` (N, 3) of the unit ball around pixel (i, j) that the depth image shows) (Mittring 2007)."""
+    """min(1, 2 x share of `points` (N, 3) of the unit ball around pixel (i, j) that the depth shows) (Mittring 2007)."""
     at = frame.gbuffer.position_ws[i, j].astype(float) + radius * points
     column, row, depth = frame.camera.project(at)
     height, width = frame.gbuffer.shape
