@@ -79,9 +79,9 @@ def sector_visibility(frame: Frame, i: int, j: int, radius: float, thickness: fl
     """(cosine-weighted visibility of pixel (i, j), its mean open direction times that) by slices around the viewer.
 
     A direction of a slice is closed where it enters a sheet: a point seen on the slice's line, moved into the slice along
-    the surface of (i, j), and what lies up to `thickness` behind it on the camera's ray, inside the sphere of `radius`. Slices
-    weigh what of their taps lies in the picture, for taps at distances (on + on^2) / 2 of the way to the sphere's rim.
-    """
+    the surface of (i, j), and what lies up to `thickness` behind it on the camera's ray, inside the sphere of `radius`.
+    Slices weigh what of their taps lies in the picture, for taps at distances (on + on^2) / 2 of the way to the sphere's
+    rim. """
     p, n = frame.gbuffer.position_ws[i, j].astype(float), frame.gbuffer.normal_ws[i, j].astype(float)
     start, viewer = np.array([j + 0.5, i + 0.5]), to_viewer(frame, p)
     first = normalized(np.cross(viewer, [0.36, 0.48, 0.8]))
