@@ -139,6 +139,6 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
         return "there is no lamp"
     if name == "world" and frame.world.is_black:
         return "the world is black"
-    if name == "rsm" and not any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views):
+    if name in ("rsm", "lpv") and not any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views):
         return "no lamp lights a surface" if frame.lights else "there is no lamp"
     return None

@@ -26,8 +26,8 @@ from .vec3 import ONE, ZERO, along, f32, load
 
 C0, C1 = 1 / (2 * math.sqrt(math.pi)), math.sqrt(3 / math.pi) / 2
 LOBE0, LOBE1 = math.sqrt(math.pi) / 2, math.sqrt(math.pi / 3)       # a clamped cosine along n is (LOBE0, LOBE1 n)
-# of the far face of a neighbour, seen from the cell's centre at a distance of 1.5 edges: a square of edge 1; and what the
-# four faces at the sides share of the rest of the 4 pi / 6. 0.4234413544 is widely copied for it and is wrong in the 5th digit
+# the far face of a neighbour, a square of edge 1 seen from 1.5 edges away, and each of its four side faces, which share the
+# rest of 4 pi / 6; the widely copied 0.4234413544 for SIDE is wrong in the fifth digit
 FRONT = 4 * math.atan(0.25 / (1.5 * math.sqrt(1.5**2 + 0.5)))
 SIDE = (4 * math.pi / 6 - FRONT) / 4
 
@@ -95,12 +95,12 @@ def cells_of(grid: LightGrid, position: np.ndarray, shape: tuple[int, ...] | Non
 
 
 def fuzzy_blockers(grid: LightGrid, surfaces: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> np.ndarray:
-    """(3, 4, nx, ny, nz) float32 on the faces towards the next cells along x, y and z: B(w), the chance that light ends there.
+    """(3, 4, nx, ny, nz) float32 on the faces towards the next cells along x, y and z: B(w), the chance that light ends.
 
-    The geometry volume of [1]_: nodes at the cells' corners, half a cell off the grid of light. A surfel of normal n and area
-    A (of `surfaces`: position (N, 3), normal (N, 3), area (N,) m2, one entry for each view) blocks A max(0, -n . w) / s^2 of
-    what meets its front. Of several views of the same surface the one that fills a node most counts; a face takes the mean of
-    its four corners.
+    The geometry volume of [1]_: nodes at the cells' corners, half a cell off the grid of light. A surfel of normal n and
+    area A (of `surfaces`: position (N, 3), normal (N, 3), area (N,) m2, one entry for each view) blocks A max(0, -n . w) / s^2
+    of what meets its front. Of several views of the same surface the one that fills a node most counts; a face takes the
+    mean of its four corners.
     """
     shape = grid.links.shape[1:]
     nodes = tuple(n + 1 for n in shape)
@@ -152,8 +152,8 @@ def _propagate(state, links, fuzzy, use_fuzzy, clamp, table, active, out, out_ac
             for c in range(3):
                 a0, a1, a2, a3 = state[c, 0, si, sj], state[c, 1, si, sj], state[c, 2, si, sj], state[c, 3, si, sj]
                 b0, b1, b2, b3 = out[c, 0, i, j], out[c, 1, i, j], out[c, 2, i, j], out[c, 3, i, j]
-                fi, fj = (li, lj) if use_fuzzy else (0, 0)
-                g0, g1, g2, g3 = fuzzy[axis, 0, fi, fj], fuzzy[axis, 1, fi, fj], fuzzy[axis, 2, fi, fj], fuzzy[axis, 3, fi, fj]
+                u, v = (li, lj) if use_fuzzy else (0, 0)
+                g0, g1, g2, g3 = fuzzy[axis, 0, u, v], fuzzy[axis, 1, u, v], fuzzy[axis, 2, u, v], fuzzy[axis, 3, u, v]
                 for f in range(5):
                     y0, y1, y2, y3 = table[step, f, 0, 0], table[step, f, 0, 1], table[step, f, 0, 2], table[step, f, 0, 3]
                     m0, m1, m2, m3 = table[step, f, 1, 0], table[step, f, 1, 1], table[step, f, 1, 2], table[step, f, 1, 3]
@@ -202,7 +202,8 @@ def propagate(state: np.ndarray, grid: LightGrid, residual: float, most: int, *,
     injected = float(flux_of(state).sum())
     left, steps = 1.0, 0
     while steps < most and left > residual and injected > 0:
-        _propagate(state, grid.links, blockers, fuzzy is not None and steps > 0, clamp, table, active, out, out_active, total)
+        _propagate(state, grid.links, blockers, fuzzy is not None and steps > 0, clamp, table, active, out, out_active,
+                   total)
         state, out = out, state if steps else np.empty_like(state)       # what the caller injected stays as it is
         active, out_active = out_active, active
         steps += 1
@@ -245,16 +246,16 @@ def _irradiance(position, normal, total, grid, bvh, offset_m, by_sight, damps, s
 
 @device_jit
 def _damping(here, behind):
-    """1 where light grows along its own direction of travel from behind the surface to its front, 0 where it is against it."""
-    product, of_light, of_change = ZERO, ZERO, ZERO
+    """Cosine between the light's direction and its change from behind the surface to its front: 0 if it came through."""
+    product, of_light, of_change = 0.0, 0.0, 0.0         # squares of faint light are below float32
     for q in range(1, 4):
-        change = here[q] - behind[q]
-        product += here[q] * change
-        of_light += here[q] * here[q]
+        light = np.float64(here[q])
+        change = light - behind[q]
+        product += light * change
+        of_light += light * light
         of_change += change * change
-    if of_light * of_change <= ZERO:
-        return ONE
-    return max(product, ZERO) / math.sqrt(of_light * of_change)
+    both = of_light * of_change
+    return f32(max(product, 0.0) / math.sqrt(both)) if both > 1e-200 else ONE
 
 
 def irradiance(position: np.ndarray, normal: np.ndarray, total: np.ndarray, grid: LightGrid, bvh: Bvh, offset_m: float, *,

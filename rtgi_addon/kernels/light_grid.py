@@ -67,17 +67,16 @@ def _close_links(corners, transmittance, low, cell_m, links):
                 continue
             if max(z[0], z[1], z[2]) < 0.0 or min(z[0], z[1], z[2]) > size[a] - 1.0:
                 continue
-            first_u, last_u = max(0.0, math.ceil(min(x[0], x[1], x[2]) - EDGE)), min(size[u] - 1.0, max(x[0], x[1], x[2]) + EDGE)
-            first_v, last_v = max(0.0, math.ceil(min(y[0], y[1], y[2]) - EDGE)), min(size[v] - 1.0, max(y[0], y[1], y[2]) + EDGE)
+            first_u, first_v = max(0.0, math.ceil(min(x[0], x[1], x[2]) - EDGE)), max(0.0, math.ceil(min(y[0], y[1], y[2]) - EDGE))
+            last_u, last_v = min(size[u] - 1.0, max(x[0], x[1], x[2]) + EDGE), min(size[v] - 1.0, max(y[0], y[1], y[2]) + EDGE)
             if not (first_u <= last_u and first_v <= last_v):
                 continue
-            slack = -EDGE
             for p in range(int(first_u), int(last_u) + 1):
                 for q in range(int(first_v), int(last_v) + 1):
                     b0 = ((x[1] - p) * (y[2] - q) - (x[2] - p) * (y[1] - q)) / area
                     b1 = ((x[2] - p) * (y[0] - q) - (x[0] - p) * (y[2] - q)) / area
                     b2 = 1.0 - b0 - b1
-                    if b0 < slack or b1 < slack or b2 < slack:
+                    if b0 < -EDGE or b1 < -EDGE or b2 < -EDGE:
                         continue
                     height = b0 * z[0] + b1 * z[1] + b2 * z[2]
                     if height >= 0.0 and height < size[a] - 1.0:
@@ -175,9 +174,10 @@ def seen_cells(p, n, grid, bvh, stack, offset_m, seen):
     is_walled = False
     for b in range(64):
         s, t, r = b >> 4, b >> 2 & 3, b & 3
-        is_walled = is_walled or (s < 3 and seen[b] and seen[b + 16 if s < 3 else b] and links[0, i + s, j + t, k + r] < HALF)
-        is_walled = is_walled or (t < 3 and seen[b] and seen[b + 4 if t < 3 else b] and links[1, i + s, j + t, k + r] < HALF)
-        is_walled = is_walled or (r < 3 and seen[b] and seen[b + 1 if r < 3 else b] and links[2, i + s, j + t, k + r] < HALF)
+        if seen[b]:
+            is_walled = is_walled or (s < 3 and seen[b + 16 if s < 3 else b] and links[0, i + s, j + t, k + r] < HALF)
+            is_walled = is_walled or (t < 3 and seen[b + 4 if t < 3 else b] and links[1, i + s, j + t, k + r] < HALF)
+            is_walled = is_walled or (r < 3 and seen[b + 1 if r < 3 else b] and links[2, i + s, j + t, k + r] < HALF)
     if is_walled:
         origin = lifted(p, n, offset_m)
         for b in range(64):

@@ -59,7 +59,8 @@ def directions_ws(n: int) -> np.ndarray:
     out = np.empty((6, n * n, 3), np.float32)
     for group in range(6):
         axis, sign = group // 2, 1 - 2 * (group % 2)
-        out[group, :, (axis + 1) % 3], out[group, :, (axis + 2) % 3], out[group, :, axis] = local[:, 0], local[:, 1], sign * local[:, 2]
+        out[group, :, (axis + 1) % 3], out[group, :, (axis + 2) % 3] = local[:, 0], local[:, 1]
+        out[group, :, axis] = sign * local[:, 2]
     return out
 
 
@@ -150,7 +151,8 @@ def _inject(flux, table, grid, local, diffuse, glossy, corner, seen):
         u, v = (a + 1) % 3, (a + 2) % 3
         for t in range(table.shape[1]):
             x_a = (table[POSITION + a, t] - grid.low[a]) * inv - HALF
-            x_u, x_v = (table[POSITION + u, t] - grid.low[u]) * inv - HALF, (table[POSITION + v, t] - grid.low[v]) * inv - HALF
+            x_u = (table[POSITION + u, t] - grid.low[u]) * inv - HALF
+            x_v = (table[POSITION + v, t] - grid.low[v]) * inv - HALF
             n_a, n_u, n_v = table[NORMAL + a, t], table[NORMAL + u, t], table[NORMAL + v, t]
             plane = int(math.ceil(x_a)) if sign > 0 else int(math.floor(x_a))
             if plane < 0 or plane >= shape[a]:
@@ -163,7 +165,10 @@ def _inject(flux, table, grid, local, diffuse, glossy, corner, seen):
                     continue
                 p_u, p_v = x_u + way * local[d, 0] / local[d, 2], x_v + way * local[d, 1] / local[d, 2]
                 c_u, c_v = int(math.floor(p_u)), int(math.floor(p_v))
-                b = (plane - corner[t, a]) * step[a] + (c_u - corner[t, u]) * step[u] + (c_v - corner[t, v]) * step[v]
+                b_a, b_u, b_v = plane - corner[t, a], c_u - corner[t, u], c_v - corner[t, v]
+                if b_a < 0 or b_a > 3 or b_u < 0 or b_u > 2 or b_v < 0 or b_v > 2:
+                    continue                     # a texel beside the grid
+                b = b_a * step[a] + b_u * step[u] + b_v * step[v]
                 f_u, f_v = p_u - f32(c_u), p_v - f32(c_v)
                 front = n_a * (f32(plane) - x_a) + n_u * (f32(c_u) - x_u) + n_v * (f32(c_v) - x_v)
                 w00 = _share(seen[t, b], (ONE - f_u) * (ONE - f_v), front)
@@ -361,3 +366,9 @@ def irradiance(position: np.ndarray, normal: np.ndarray, flux: np.ndarray, grid:
     _irradiance(np.ascontiguousarray(position, np.float32), np.ascontiguousarray(normal, np.float32), flux, grid, bvh,
                 f32(offset_m), directions_ws(n), weight.astype(np.float32), local[:, 2].astype(np.float32), out)
     return out
+
+
+def mean_radiance(flux: np.ndarray, n: int, cell_area_m2: float) -> np.ndarray:
+    """(cells, 3) float32 W/(m2 sr): radiance of each cell after a sweep, the mean over all directions."""
+    per_flux = 1 / (ordinates(n)[0][:, 2] * 4 * math.pi * cell_area_m2)
+    return (flux.reshape(6, -1, 3, n * n).sum(0) @ per_flux).astype(np.float32)

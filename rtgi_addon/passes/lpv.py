@@ -26,7 +26,7 @@ from ..core.frame import Frame, Geometry
 from ..core.techniques import LpvParams
 from ..kernels import harmonics, ordinates
 from ..kernels.bvh import Bvh
-from ..kernels.clusters import ALPHA2, DIFFUSE, NO_LOBE, NORMAL, POSITION
+from ..kernels.clusters import DIFFUSE, NORMAL, POSITION
 from ..kernels.light_grid import LightGrid
 from ..kernels.vec3 import f32
 from ..kernels.vpl import thin_texels
@@ -35,7 +35,7 @@ from .lattice import gather_on_lattice
 from .light_volume import boxes_of, grid_over, merge_texels, surfels_of
 from .rsm import texel_table
 
-MAX_TEXELS = 65536          # texels that go into the grid; a tenth of them changes the error of a scene by 0.5 % of its light
+MAX_TEXELS = 65536          # texels that go into the grid; an eighth of them changes the light of a scene by 1 %
 RAY_OFFSET = 2e-5           # of the scene's size: rays to cell centres are lifted off their surface by it
 BLEND_CELLS = 2.0           # over so many cells the light of an inner grid takes over from that of the grid around it
 
@@ -68,7 +68,7 @@ def _travelled(frame: Frame, params: LpvParams, table: np.ndarray, bvh: Bvh, off
 def _stepped(frame: Frame, params: LpvParams, table: np.ndarray, context: Context) -> tuple[list[Volume], dict[str, Any]]:
     """The one volume of HARMONICS and PAPER."""
     is_published = params.mode == "PAPER"
-    box = boxes_of(frame, table, 1)[0]
+    box = boxes_of(frame, table)[0]
     grid = grid_over(frame, box, params.resolution, params.blockers and not is_published)
     context.checkpoint("Light into the grid", 0.0)
     state = harmonics.inject(grid, *(np.ascontiguousarray(table[row:row + 3].T) for row in (POSITION, NORMAL, DIFFUSE)))
@@ -102,13 +102,15 @@ def _irradiance(volumes: list[Volume], params: LpvParams, bvh: Bvh, offset_m: fl
     for level, volume in enumerate(volumes):
         is_last = level + 1 == len(volumes)
         wanted = np.flatnonzero((share[level] > 0) & (True if is_last else share[level + 1] < 1))
-        here = ordinates.irradiance(position[wanted], normal[wanted], volume.light, volume.grid, params.directions, bvh, offset_m)
+        here = ordinates.irradiance(position[wanted], normal[wanted], volume.light, volume.grid, params.directions, bvh,
+                                    offset_m)
         s = share[level][wanted, None]
         out[wanted] = out[wanted] * (1 - s) + here * s
     return out
 
 
-def _volumes(frame: Frame, params: LpvParams, context: Context, seed: int) -> tuple[list[Volume], Bvh, float, dict[str, Any]]:
+def _volumes(frame: Frame, params: LpvParams, context: Context,
+             seed: int) -> tuple[list[Volume], Bvh, float, dict[str, Any]]:
     """The frame's light in its volumes, BVH and ray offset in m, diagnostics. No volumes where nothing is lit or seen."""
     table = texel_table(frame, params.glossy_texels and params.mode == "ORDINATES")
     bvh, offset_m = context.bvh(frame.geometry or Geometry.empty()), f32(RAY_OFFSET * frame.scale_m)
