@@ -98,9 +98,9 @@ def fuzzy_blockers(grid: LightGrid, surfaces: list[tuple[np.ndarray, np.ndarray,
     """(3, 4, nx, ny, nz) float32 on the faces towards the next cells along x, y and z: B(w), the chance that light ends.
 
     The geometry volume of [1]_: nodes at the cells' corners, half a cell off the grid of light. A surfel of normal n and
-    area A (of `surfaces`: position (N, 3), normal (N, 3), area (N,) m2, one entry for each view) blocks A max(0, -n . w) / s^2
-    of what meets its front. Of several views of the same surface the one that fills a node most counts; a face takes the
-    mean of its four corners.
+    area A (of `surfaces`: position (N, 3), normal (N, 3), area (N,) m2, one entry for each view) blocks A max(0, -n . w) /
+    s^2 of what meets its front. Of several views of the same surface the one that fills a node most counts; a face takes
+    the mean of its four corners.
     """
     shape = grid.links.shape[1:]
     nodes = tuple(n + 1 for n in shape)

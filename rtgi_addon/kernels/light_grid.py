@@ -50,6 +50,12 @@ def close_links(grid: LightGrid, corners_ws: np.ndarray, transmittance: np.ndarr
                  grid.low.astype(np.float64), float(grid.cell_m), grid.links)
 
 
+@device_jit
+def _lines(a, b, c, number):
+    """First and last line of centres that three coordinates span, as float64: they may be far outside of the grid."""
+    return max(0.0, math.ceil(min(a, min(b, c)) - EDGE)), min(number - 1.0, max(a, max(b, c)) + EDGE)
+
+
 @pixel_jit
 def _close_links(corners, transmittance, low, cell_m, links):
     for a in prange(3):
@@ -67,8 +73,8 @@ def _close_links(corners, transmittance, low, cell_m, links):
                 continue
             if max(z[0], z[1], z[2]) < 0.0 or min(z[0], z[1], z[2]) > size[a] - 1.0:
                 continue
-            first_u, first_v = max(0.0, math.ceil(min(x[0], x[1], x[2]) - EDGE)), max(0.0, math.ceil(min(y[0], y[1], y[2]) - EDGE))
-            last_u, last_v = min(size[u] - 1.0, max(x[0], x[1], x[2]) + EDGE), min(size[v] - 1.0, max(y[0], y[1], y[2]) + EDGE)
+            first_u, last_u = _lines(x[0], x[1], x[2], size[u])
+            first_v, last_v = _lines(y[0], y[1], y[2], size[v])
             if not (first_u <= last_u and first_v <= last_v):
                 continue
             for p in range(int(first_u), int(last_u) + 1):
