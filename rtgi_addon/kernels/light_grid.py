@@ -166,8 +166,9 @@ def _towards_cell(p, grid, i, j, k):
 def seen_cells(p, n, grid, bvh, stack, offset_m, seen):
     """Lowest of the 4x4x4 cells around the surface point p, normal n; `seen` (64,) bool tells which of them p shines on.
 
-    Those are the cells whose centres lie in front of the surface. Where two neighbours among them do not see each other, a
-    ray to each decides. Cell (s, t, r) of the block is entry (s 4 + t) 4 + r.
+    Those are the cells whose centres lie in front of the surface. Where two neighbours among them do not see each other,
+    rays to the inner 2x2x2 decide, and an outer cell is seen through an open link to an inner one. Cell (s, t, r) of the block
+    is entry (s 4 + t) 4 + r.
     """
     links, inv = grid.links, ONE / grid.cell_m
     i = _block_start(p.x, grid.low[0], inv, links.shape[1])
@@ -179,18 +180,33 @@ def seen_cells(p, n, grid, bvh, stack, offset_m, seen):
                    and dot(n, _towards_cell(p, grid, s, t, r)) * inv > IN_FRONT)
     is_walled = False
     for b in range(64):
-        s, t, r = b >> 4, b >> 2 & 3, b & 3
         if seen[b]:
+            s, t, r = b >> 4, b >> 2 & 3, b & 3
             is_walled = is_walled or (s < 3 and seen[b + 16 if s < 3 else b] and links[0, i + s, j + t, k + r] < HALF)
             is_walled = is_walled or (t < 3 and seen[b + 4 if t < 3 else b] and links[1, i + s, j + t, k + r] < HALF)
             is_walled = is_walled or (r < 3 and seen[b + 1 if r < 3 else b] and links[2, i + s, j + t, k + r] < HALF)
     if is_walled:
         origin = lifted(p, n, offset_m)
-        for b in range(64):
-            if seen[b]:
-                seen[b] = not is_occluded(bvh, stack, origin, _towards_cell(origin, grid, i + (b >> 4), j + (b >> 2 & 3),
-                                                                            k + (b & 3)))
+        for ring in range(4):                    # cells with so many coordinates at the border of the block
+            for b in range(64):
+                s, t, r = b >> 4, b >> 2 & 3, b & 3
+                if not seen[b] or _at_border(s) + _at_border(t) + _at_border(r) != ring:
+                    continue
+                if ring == 0:
+                    seen[b] = not is_occluded(bvh, stack, origin, _towards_cell(origin, grid, i + s, j + t, k + r))
+                else:
+                    seen[b] = ((s == 0 and seen[b + 16] and links[0, i, j + t, k + r] >= HALF)
+                               or (s == 3 and seen[b - 16] and links[0, i + 2, j + t, k + r] >= HALF)
+                               or (t == 0 and seen[b + 4] and links[1, i + s, j, k + r] >= HALF)
+                               or (t == 3 and seen[b - 4] and links[1, i + s, j + 2, k + r] >= HALF)
+                               or (r == 0 and seen[b + 1] and links[2, i + s, j + t, k] >= HALF)
+                               or (r == 3 and seen[b - 1] and links[2, i + s, j + t, k + 2] >= HALF))
     return i, j, k
+
+
+@device_jit
+def _at_border(s):
+    return 1 if s == 0 or s == 3 else 0
 
 
 @device_jit
