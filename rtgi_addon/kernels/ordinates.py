@@ -28,6 +28,7 @@ DIAGONAL = 0.35             # how much less light spreads along the cube's diago
 TAPS = 5                    # a step moves light by -2 to 2 cells to the side
 GHOST = 2                   # so that much of a grid's border is told by the coarser grid around it
 LEAST_SHARE = f32(1e-4)     # of a centre that is seen: where it is the only one, it takes all
+NEXT_PLANE = f32(0.01)      # cells: the centres of a plane nearer to the texel may not count as in front of it
 SUBDIVISION = 32            # midpoints an edge of a patch in the integrals over its directions
 
 
@@ -155,6 +156,8 @@ def _inject(flux, table, grid, local, diffuse, glossy, corner, seen):
             x_v = (table[POSITION + v, t] - grid.low[v]) * inv - HALF
             n_a, n_u, n_v = table[NORMAL + a, t], table[NORMAL + u, t], table[NORMAL + v, t]
             plane = int(math.ceil(x_a)) if sign > 0 else int(math.floor(x_a))
+            if abs(f32(plane) - x_a) < NEXT_PLANE:
+                plane += sign
             if plane < 0 or plane >= shape[a]:
                 continue
             way = abs(f32(plane) - x_a)

@@ -121,6 +121,8 @@ def injected(position: np.ndarray, normal: np.ndarray, power: float, n: int, sha
     lobe *= power / lobe.sum()
     for group, (axis, sign) in enumerate(AXES):
         plane = math.ceil(position[axis]) if sign > 0 else math.floor(position[axis])
+        if abs(plane - position[axis]) < 0.01:
+            plane += sign
         for d in range(n * n):
             if lobe[group, d] == 0:
                 continue
