@@ -17,7 +17,7 @@ from .brdf import albedo_table, fresnel, ggx_lobe, lobe_albedos
 from .bvh import STACK, Bvh
 from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
 from .jit import device_jit, pixel_jit, prange
-from .light_grid import RAMP, LightGrid, corner_weights, seen_cells, trilinear_weights
+from .light_grid import RAMP, LightGrid, seen_cells, trilinear_weights
 from .vec3 import ONE, ZERO, Vec3, dot, f32, load, load_column
 
 HALF = f32(0.5)
@@ -36,7 +36,8 @@ SUBDIVISION = 32            # midpoints an edge of a patch in the integrals over
 def ordinates(n: int) -> tuple[np.ndarray, np.ndarray]:
     """(directions (n n, 3), solid angles (n n,)) float64 of one face of the cube: its sides' components and its axis's.
 
-    A direction is the mean over its patch; patches are cut at equal angles. Solid angles sum to 4 pi / 6.
+    `n` is even. A direction is the mean over its patch; patches are cut at equal angles and come by quadrants: both sides
+    negative, the second positive, the first, both. Solid angles sum to 4 pi / 6.
     """
     edge = np.tan(np.linspace(-1, 1, n + 1) * math.pi / 4)
     middle = (np.arange(n * SUBDIVISION) + 0.5) / SUBDIVISION
@@ -48,7 +49,9 @@ def ordinates(n: int) -> tuple[np.ndarray, np.ndarray]:
     vectors = np.stack([x, y, np.ones_like(x)], -1) / np.sqrt(r2)[..., None] * solid_angle[..., None]
 
     def over_patches(a: np.ndarray) -> np.ndarray:
-        return a.reshape(n, SUBDIVISION, n, SUBDIVISION, *a.shape[2:]).sum((1, 3)).reshape(n * n, *a.shape[2:])
+        patches = a.reshape(n, SUBDIVISION, n, SUBDIVISION, *a.shape[2:]).sum((1, 3))
+        quadrants = patches.reshape(2, n // 2, 2, n // 2, *a.shape[2:]).swapaxes(1, 2)
+        return quadrants.reshape(n * n, *a.shape[2:])
 
     weight, direction = over_patches(solid_angle), over_patches(vectors)
     return (direction / np.linalg.norm(direction, axis=1, keepdims=True), weight * (4 * math.pi / 6 / weight.sum()))
@@ -316,58 +319,91 @@ def fill_ghosts(flux: np.ndarray, grid: LightGrid, outer_flux: np.ndarray, outer
 
 
 # ---- irradiance ----
-@pixel_jit
-def _irradiance(position, normal, flux, grid, bvh, offset_m, direction, solid_angle, axis_cosine, out):
-    lanes = solid_angle.shape[0]
+@device_jit
+def _add_quadrant(light, x, n, corner, seen, grid, flux, g, first, lobe, slope_u, slope_v):
+    """Add to `light` what arrives at the place x (cells) in one quadrant of a group, its lanes from `first` on.
+
+    The quadrant is followed back to the planes of centres before and behind x, where its flux lies between four cells. Those
+    that x does not see do not count; returns whether any did.
+    """
+    a, sign = g // 2, 1 - 2 * (g % 2)
+    u, v = (a + 1) % 3, (a + 2) % 3
     ny, nz = grid.links.shape[2], grid.links.shape[3]
-    inv_area = ONE / (grid.cell_m * grid.cell_m)
+    stride, step = (ny * nz, nz, 1), (16, 4, 1)
+    count, lanes = lobe.shape[0], flux.shape[2] // 3
+    before = int(math.floor(x[a])) if sign > 0 else int(math.ceil(x[a]))
+    whole, red, green, blue = ZERO, ZERO, ZERO, ZERO
+    for behind in range(2):
+        plane = before + sign * behind
+        way = f32(sign) * (x[a] - f32(plane))    # along the axis from the plane to x
+        p_u, p_v = x[u] - way * slope_u, x[v] - way * slope_v
+        c_u, c_v = int(math.floor(p_u)), int(math.floor(p_v))
+        b_a, b_u, b_v = plane - corner[a], c_u - corner[u], c_v - corner[v]
+        if b_a < 0 or b_a > 3 or b_u < 0 or b_u > 2 or b_v < 0 or b_v > 2:
+            continue
+        b = b_a * step[a] + b_u * step[u] + b_v * step[v]
+        f_u, f_v = p_u - f32(c_u), p_v - f32(c_v)
+        front = n[a] * (f32(plane) - x[a]) + n[u] * (f32(c_u) - x[u]) + n[v] * (f32(c_v) - x[v])
+        for q in range(4):
+            s, t = q & 1, q >> 1
+            w = (ONE - abs(way)) * _share(seen[b + s * step[u] + t * step[v]], (f_u if s else ONE - f_u)
+                                          * (f_v if t else ONE - f_v), front + f32(s) * n[u] + f32(t) * n[v])
+            if w > ZERO:
+                row = flux[g, plane * stride[a] + (c_u + s) * stride[u] + (c_v + t) * stride[v]]
+                whole += w
+                for d in range(count):
+                    red += w * lobe[d] * row[first + d]
+                    green += w * lobe[d] * row[lanes + first + d]
+                    blue += w * lobe[d] * row[2 * lanes + first + d]
+    if whole > ZERO:
+        inv = ONE / whole
+        light[0], light[1], light[2] = light[0] + inv * red, light[1] + inv * green, light[2] + inv * blue
+    return whole > ZERO
+
+
+@pixel_jit
+def _irradiance(position, normal, flux, grid, bvh, offset_m, direction, solid_angle, axis_cosine, slope, out):
+    quadrant = solid_angle.shape[0] // 4
+    inv = ONE / grid.cell_m
     for block in prange((position.shape[0] + 63) // 64):
-        w, stack = np.empty(16, np.float32), np.empty(STACK, np.int32)
-        lobe = np.empty((6, lanes), np.float32)
-        lit = np.empty(6, np.bool_)
+        stack, seen, light = np.empty(STACK, np.int32), np.empty(64, np.bool_), np.empty(3, np.float32)
+        x, n, corner = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.int64)
+        lobe = np.empty(quadrant, np.float32)
         for m in range(block * 64, min(position.shape[0], block * 64 + 64)):
-            n = load(normal, m)
-            i, j, k = corner_weights(load(position, m), n, grid, bvh, stack, offset_m, w)
+            corner[0], corner[1], corner[2] = seen_cells(load(position, m), load(normal, m), grid, bvh, stack, offset_m, seen)
+            for a in range(3):
+                x[a], n[a], light[a] = (position[m, a] - grid.low[a]) * inv - HALF, normal[m, a], ZERO
             whole = ZERO
             for g in range(6):
-                lit[g] = False
-                for d in range(lanes):
-                    cosine = max(-(n.x * direction[g, d, 0] + n.y * direction[g, d, 1] + n.z * direction[g, d, 2]), ZERO)
-                    lobe[g, d] = cosine / axis_cosine[d]
-                    whole += cosine * solid_angle[d]
-                    lit[g] = lit[g] or cosine > ZERO
-            red, green, blue = ZERO, ZERO, ZERO
-            for b in range(8):
-                if w[b] > ZERO:
-                    cell = ((i + (b & 1)) * ny + j + (b >> 1 & 1)) * nz + k + (b >> 2)
-                    for g in range(6):
-                        if lit[g]:
-                            red += w[b] * _weighted(flux[g, cell, :lanes], lobe[g])
-                            green += w[b] * _weighted(flux[g, cell, lanes:2 * lanes], lobe[g])
-                            blue += w[b] * _weighted(flux[g, cell, 2 * lanes:], lobe[g])
-            scale = inv_area * f32(math.pi) / whole
-            out[m, 0], out[m, 1], out[m, 2] = red * scale, green * scale, blue * scale
-
-
-@device_jit
-def _weighted(row, lobe):
-    total = ZERO
-    for d in range(lobe.shape[0]):
-        total += row[d] * lobe[d]
-    return total
+                for q in range(4):
+                    here = ZERO
+                    for d in range(quadrant):
+                        e = q * quadrant + d
+                        cosine = max(-(n[0] * direction[g, e, 0] + n[1] * direction[g, e, 1] + n[2] * direction[g, e, 2]), ZERO)
+                        lobe[d] = cosine / axis_cosine[e]
+                        here += cosine * solid_angle[e]
+                    if here > ZERO and _add_quadrant(light, x, n, corner, seen, grid, flux, g, q * quadrant, lobe, slope[q, 0],
+                                                     slope[q, 1]):
+                        whole += here
+            if whole > ZERO:
+                for a in range(3):
+                    out[m, a] = light[a] * inv * inv * f32(math.pi) / whole
 
 
 def irradiance(position: np.ndarray, normal: np.ndarray, flux: np.ndarray, grid: LightGrid, n: int, bvh: Bvh,
                offset_m: float) -> np.ndarray:
     """(M, 3) float32 W/m2 at surface points (M, 3) with unit normals (M, 3) after a sweep; 0 outside the grid.
 
-    Radiance along d in a cell is flux / (solid angle x cell's area x d_axis). The sum over cosine x solid angle is scaled
-    to pi for even radiance, whatever the normal.
+    Radiance along d in a cell is flux / (solid angle x cell's area x d_axis). Light is read where it came from: each quadrant
+    of a group at its own place in the planes of cells around the point, without a push off the surface. The sum over cosine
+    x solid angle is scaled to pi for even radiance, whatever the normal and however many directions the point sees.
     """
     local, weight = ordinates(n)
+    slope = (local[:, :2] / local[:, 2:] * weight[:, None]).reshape(4, -1, 2).sum(1) / weight.reshape(4, -1).sum(1)[:, None]
     out = np.zeros((len(position), 3), np.float32)
     _irradiance(np.ascontiguousarray(position, np.float32), np.ascontiguousarray(normal, np.float32), flux, grid, bvh,
-                f32(offset_m), directions_ws(n), weight.astype(np.float32), local[:, 2].astype(np.float32), out)
+                f32(offset_m), directions_ws(n), weight.astype(np.float32), local[:, 2].astype(np.float32),
+                slope.astype(np.float32), out)
     return out
 
 
