@@ -89,8 +89,8 @@ class LpvParams(Params):
         32, "The grid has the cube of this number of cells, whatever its shape; light leaks and blurs over a cell, time and "
         "memory grow with their number", low=8, high=96, soft_high=64)
     directions: int = param(
-        4, "Patches of directions along an edge of each of a cube's six faces, 4 makes 96; fewer show the light of small "
-        "places as rays. Directions only", low=2, high=8, soft_high=6)
+        4, "Patches of directions along an edge of each of a cube's six faces: 4 makes 96, odd numbers count as the next "
+        "even one; fewer show the light of small places as rays. Directions only", low=2, high=8, soft_high=6)
     cascades: int = param(
         2, "Grids inside of each other, the inner ones around what is near to the camera, if that is much smaller than the "
         "scene; each costs as much as the first. Directions only", low=1, high=4)
@@ -99,7 +99,7 @@ class LpvParams(Params):
     glossy_texels: bool = param(
         True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing. Directions only")
     lattice_px: int = param(
-        4, "Distance between pixels that look into the grid; those between are interpolated where the surface is smooth",
+        6, "Distance between pixels that look into the grid; those between are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
     residual: float = param(
         0.01, "Share of the flux in motion at which steps end. Harmonics only", low=0.0, high=1.0)
@@ -133,19 +133,19 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 8, "rays": 16},
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
-        "lpv": {"resolution": 24, "directions": 3, "lattice_px": 8},
+        "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 4, "rays": 32},
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
-        "lpv": {"resolution": 32, "directions": 4, "lattice_px": 4},
+        "lpv": {"resolution": 32, "directions": 4, "lattice_px": 6},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},
         "world": {"lattice_px": 2, "rays": 64},
         "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
-        "lpv": {"resolution": 48, "directions": 5, "lattice_px": 2},
+        "lpv": {"resolution": 48, "directions": 6, "lattice_px": 3},
     },
 }
 

@@ -167,8 +167,8 @@ def seen_cells(p, n, grid, bvh, stack, offset_m, seen):
     """Lowest of the 4x4x4 cells around the surface point p, normal n; `seen` (64,) bool tells which of them p shines on.
 
     Those are the cells whose centres lie in front of the surface. Where two neighbours among them do not see each other,
-    rays to the inner 2x2x2 decide, and an outer cell is seen through an open link to an inner one. Cell (s, t, r) of the block
-    is entry (s 4 + t) 4 + r.
+    rays to the inner 2x2x2 decide, and an outer cell is seen through an open link to an inner one. Cell (s, t, r) of the
+    block is entry (s 4 + t) 4 + r.
     """
     links, inv = grid.links, ONE / grid.cell_m
     i = _block_start(p.x, grid.low[0], inv, links.shape[1])

@@ -58,13 +58,13 @@ def ordinates(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def directions_ws(n: int) -> np.ndarray:
-    """(6, n n, 3) float32 unit directions in which light moves: groups +x, -x, +y, -y, +z, -z."""
+    """(6, 3, n n) float32 unit directions in which light moves: groups +x, -x, +y, -y, +z, -z; components first."""
     local, _ = ordinates(n)
-    out = np.empty((6, n * n, 3), np.float32)
+    out = np.empty((6, 3, n * n), np.float32)
     for group in range(6):
         axis, sign = group // 2, 1 - 2 * (group % 2)
-        out[group, :, (axis + 1) % 3], out[group, :, (axis + 2) % 3] = local[:, 0], local[:, 1]
-        out[group, :, axis] = sign * local[:, 2]
+        out[group, (axis + 1) % 3], out[group, (axis + 2) % 3] = local[:, 0], local[:, 1]
+        out[group, axis] = sign * local[:, 2]
     return out
 
 
@@ -94,7 +94,7 @@ def step_weights(n: int) -> np.ndarray:
 
 
 def empty_flux(n: int, shape: tuple[int, int, int]) -> np.ndarray:
-    """(6, nx ny nz, 3 n n) float32 zeros: flux W by group of directions, cell, and colour and direction."""
+    """(6, nx ny nz, 3 n n) float32 zeros: flux W by group of directions and cell; then by quadrant, colour and direction."""
     return np.zeros((6, math.prod(shape), 3 * n * n), np.float32)
 
 
@@ -105,7 +105,7 @@ def _cosine_lobe(lobe, n, direction, solid_angle):
     whole = ZERO
     for g in range(6):
         for d in range(solid_angle.shape[0]):
-            cosine = n.x * direction[g, d, 0] + n.y * direction[g, d, 1] + n.z * direction[g, d, 2]
+            cosine = n.x * direction[g, 0, d] + n.y * direction[g, 1, d] + n.z * direction[g, 2, d]
             lobe[g, d] = max(cosine, ZERO) * solid_angle[d]
             whole += lobe[g, d]
     for g in range(6):
@@ -122,7 +122,7 @@ def _glossy_lobe(lobe, n, to_light, alpha2, f0, direction, solid_angle, albedos,
     wide, whole = min(max(alpha2, least_alpha * least_alpha), ONE), ZERO
     for g in range(6):
         for d in range(solid_angle.shape[0]):
-            out = Vec3(direction[g, d, 0], direction[g, d, 1], direction[g, d, 2])
+            out = Vec3(direction[g, 0, d], direction[g, 1, d], direction[g, 2, d])
             lobe[g, d] = ggx_lobe(n, to_light, out, wide, f0) * solid_angle[d] if dot(n, out) > ZERO else ZERO
             whole += lobe[g, d]
     for g in range(6):
@@ -149,7 +149,7 @@ def _inject(flux, table, grid, local, diffuse, glossy, corner, seen):
     shape = (grid.links.shape[1], grid.links.shape[2], grid.links.shape[3])
     stride, step = (shape[1] * shape[2], shape[2], 1), (16, 4, 1)
     inv = ONE / grid.cell_m
-    lanes = local.shape[0]
+    lanes, quadrant = local.shape[0], local.shape[0] // 4
     for g in prange(6):                          # each group has its own part of the flux: adding up is no race
         a, sign = g // 2, 1 - 2 * (g % 2)
         u, v = (a + 1) % 3, (a + 2) % 3
@@ -189,7 +189,7 @@ def _inject(flux, table, grid, local, diffuse, glossy, corner, seen):
                     power = table[DIFFUSE + colour, t] * diffuse[t, g, d]
                     if has_gloss:
                         power += table[GLOSSY + colour, t] * glossy[t, g, d]
-                    power, to = power / whole, colour * lanes + d
+                    power, to = power / whole, (d // quadrant * 3 + colour) * quadrant + d % quadrant
                     if w00 > ZERO:
                         flux[g, c, to] += power * w00
                     if w10 > ZERO:
@@ -284,7 +284,8 @@ def sweep(flux: np.ndarray, grid: LightGrid, n: int, ghost: int = 0) -> None:
     back and forth through it stays where it is, so that a wall takes what arrives at it and no more. The `ghost` outermost
     layers of cells are not touched: what they hold (`fill_ghosts`) flows in.
     """
-    _sweep(flux, grid.links, np.tile(step_weights(n), 3).astype(np.float32), ghost)
+    step = step_weights(n).reshape(2, TAPS + 1, 4, 1, -1).repeat(3, 3).reshape(2, TAPS + 1, -1)
+    _sweep(flux, grid.links, step.astype(np.float32), ghost)
 
 
 @pixel_jit
@@ -320,19 +321,21 @@ def fill_ghosts(flux: np.ndarray, grid: LightGrid, outer_flux: np.ndarray, outer
 
 # ---- irradiance ----
 @device_jit
-def _add_quadrant(light, x, n, corner, seen, grid, flux, g, first, lobe, slope_u, slope_v):
-    """Add to `light` what arrives at the place x (cells) in one quadrant of a group, its lanes from `first` on.
+def _add_quadrant(light, x, n, corner, seen, grid, flux, g, first, lobe, mean, slope_u, slope_v):
+    """Add to `light` what arrives at the place x (cells) in one quadrant of a group, kept from `first` on.
 
     The quadrant is followed back to the planes of centres before and behind x, where its flux lies between four cells. Those
-    that x does not see do not count; returns whether any did.
+    that x does not see do not count; returns whether any did. `mean` is scratch.
     """
     a, sign = g // 2, 1 - 2 * (g % 2)
     u, v = (a + 1) % 3, (a + 2) % 3
     ny, nz = grid.links.shape[2], grid.links.shape[3]
     stride, step = (ny * nz, nz, 1), (16, 4, 1)
-    count, lanes = lobe.shape[0], flux.shape[2] // 3
+    count = lobe.shape[0]
+    for d in range(3 * count):
+        mean[d] = ZERO
     before = int(math.floor(x[a])) if sign > 0 else int(math.ceil(x[a]))
-    whole, red, green, blue = ZERO, ZERO, ZERO, ZERO
+    whole = ZERO
     for behind in range(2):
         plane = before + sign * behind
         way = f32(sign) * (x[a] - f32(plane))    # along the axis from the plane to x
@@ -344,21 +347,25 @@ def _add_quadrant(light, x, n, corner, seen, grid, flux, g, first, lobe, slope_u
         b = b_a * step[a] + b_u * step[u] + b_v * step[v]
         f_u, f_v = p_u - f32(c_u), p_v - f32(c_v)
         front = n[a] * (f32(plane) - x[a]) + n[u] * (f32(c_u) - x[u]) + n[v] * (f32(c_v) - x[v])
+        if front + max(n[u], ZERO) + max(n[v], ZERO) <= ZERO:
+            continue                             # all four lie behind the surface
         for q in range(4):
             s, t = q & 1, q >> 1
             w = (ONE - abs(way)) * _share(seen[b + s * step[u] + t * step[v]], (f_u if s else ONE - f_u)
                                           * (f_v if t else ONE - f_v), front + f32(s) * n[u] + f32(t) * n[v])
             if w > ZERO:
-                row = flux[g, plane * stride[a] + (c_u + s) * stride[u] + (c_v + t) * stride[v]]
+                row = flux[g, plane * stride[a] + (c_u + s) * stride[u] + (c_v + t) * stride[v], first:first + 3 * count]
                 whole += w
-                for d in range(count):
-                    red += w * lobe[d] * row[first + d]
-                    green += w * lobe[d] * row[lanes + first + d]
-                    blue += w * lobe[d] * row[2 * lanes + first + d]
-    if whole > ZERO:
-        inv = ONE / whole
-        light[0], light[1], light[2] = light[0] + inv * red, light[1] + inv * green, light[2] + inv * blue
-    return whole > ZERO
+                for d in range(3 * count):
+                    mean[d] += w * row[d]
+    if whole <= ZERO:
+        return False
+    for d in range(count):
+        share = lobe[d] / whole
+        light[0] += share * mean[d]
+        light[1] += share * mean[count + d]
+        light[2] += share * mean[2 * count + d]
+    return True
 
 
 @pixel_jit
@@ -368,9 +375,10 @@ def _irradiance(position, normal, flux, grid, bvh, offset_m, direction, solid_an
     for block in prange((position.shape[0] + 63) // 64):
         stack, seen, light = np.empty(STACK, np.int32), np.empty(64, np.bool_), np.empty(3, np.float32)
         x, n, corner = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.int64)
-        lobe = np.empty(quadrant, np.float32)
+        lobe, mean = np.empty(quadrant, np.float32), np.empty(3 * quadrant, np.float32)
         for m in range(block * 64, min(position.shape[0], block * 64 + 64)):
-            corner[0], corner[1], corner[2] = seen_cells(load(position, m), load(normal, m), grid, bvh, stack, offset_m, seen)
+            p = load(position, m)
+            corner[0], corner[1], corner[2] = seen_cells(p, load(normal, m), grid, bvh, stack, offset_m, seen)
             for a in range(3):
                 x[a], n[a], light[a] = (position[m, a] - grid.low[a]) * inv - HALF, normal[m, a], ZERO
             whole = ZERO
@@ -379,11 +387,12 @@ def _irradiance(position, normal, flux, grid, bvh, offset_m, direction, solid_an
                     here = ZERO
                     for d in range(quadrant):
                         e = q * quadrant + d
-                        cosine = max(-(n[0] * direction[g, e, 0] + n[1] * direction[g, e, 1] + n[2] * direction[g, e, 2]), ZERO)
+                        along = n[0] * direction[g, 0, e] + n[1] * direction[g, 1, e] + n[2] * direction[g, 2, e]
+                        cosine = max(-along, ZERO)
                         lobe[d] = cosine / axis_cosine[e]
                         here += cosine * solid_angle[e]
-                    if here > ZERO and _add_quadrant(light, x, n, corner, seen, grid, flux, g, q * quadrant, lobe, slope[q, 0],
-                                                     slope[q, 1]):
+                    if here > ZERO and _add_quadrant(light, x, n, corner, seen, grid, flux, g, 3 * q * quadrant, lobe,
+                                                     mean, slope[q, 0], slope[q, 1]):
                         whole += here
             if whole > ZERO:
                 for a in range(3):
@@ -394,9 +403,10 @@ def irradiance(position: np.ndarray, normal: np.ndarray, flux: np.ndarray, grid:
                offset_m: float) -> np.ndarray:
     """(M, 3) float32 W/m2 at surface points (M, 3) with unit normals (M, 3) after a sweep; 0 outside the grid.
 
-    Radiance along d in a cell is flux / (solid angle x cell's area x d_axis). Light is read where it came from: each quadrant
-    of a group at its own place in the planes of cells around the point, without a push off the surface. The sum over cosine
-    x solid angle is scaled to pi for even radiance, whatever the normal and however many directions the point sees.
+    Radiance along d in a cell is flux / (solid angle x cell's area x d_axis). Light is read where it came from: each
+    quadrant of a group at its own place in the planes of cells around the point, without a push off the surface. The sum
+    over cosine x solid angle is scaled to pi for even radiance, whatever the normal and however many directions the point
+    sees.
     """
     local, weight = ordinates(n)
     slope = (local[:, :2] / local[:, 2:] * weight[:, None]).reshape(4, -1, 2).sum(1) / weight.reshape(4, -1).sum(1)[:, None]
@@ -410,4 +420,5 @@ def irradiance(position: np.ndarray, normal: np.ndarray, flux: np.ndarray, grid:
 def mean_radiance(flux: np.ndarray, n: int, cell_area_m2: float) -> np.ndarray:
     """(cells, 3) float32 W/(m2 sr): radiance of each cell after a sweep, the mean over all directions."""
     per_flux = 1 / (ordinates(n)[0][:, 2] * 4 * math.pi * cell_area_m2)
-    return (flux.reshape(6, -1, 3, n * n).sum(0) @ per_flux).astype(np.float32)
+    light = flux.reshape(6, -1, 4, 3, n * n // 4).sum(0)
+    return np.einsum("mqcd,qd->mc", light, per_flux.reshape(4, -1)).astype(np.float32)

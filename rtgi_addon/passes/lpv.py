@@ -47,10 +47,15 @@ class Volume(NamedTuple):
     light: np.ndarray
 
 
+def _across_a_face(params: LpvParams) -> int:
+    """Patches of directions along an edge of a cube's face: an even number."""
+    return params.directions + params.directions % 2
+
+
 def _travelled(frame: Frame, params: LpvParams, table: np.ndarray, bvh: Bvh, offset_m: float,
                context: Context) -> tuple[list[Volume], dict[str, Any]]:
     """Volumes of ORDINATES, the widest first; each takes what comes from outside of it from the one before."""
-    n, volumes, kept = params.directions, [], 0.0
+    n, volumes, kept = _across_a_face(params), [], 0.0
     for level, box in enumerate(boxes_of(frame, table, params.cascades)):
         context.checkpoint("Light into the grid", 0.3 * level)
         grid = grid_over(frame, box, params.resolution, params.blockers)
@@ -102,7 +107,7 @@ def _irradiance(volumes: list[Volume], params: LpvParams, bvh: Bvh, offset_m: fl
     for level, volume in enumerate(volumes):
         is_last = level + 1 == len(volumes)
         wanted = np.flatnonzero((share[level] > 0) & (True if is_last else share[level + 1] < 1))
-        here = ordinates.irradiance(position[wanted], normal[wanted], volume.light, volume.grid, params.directions, bvh,
+        here = ordinates.irradiance(position[wanted], normal[wanted], volume.light, volume.grid, _across_a_face(params), bvh,
                                     offset_m)
         s = share[level][wanted, None]
         out[wanted] = out[wanted] * (1 - s) + here * s
@@ -181,7 +186,7 @@ def light_slice(frame: Frame, params: LpvParams, context: Context, axis: int = 2
     shape = grid.links.shape[1:]
     area = float(grid.cell_m) ** 2
     if params.mode == "ORDINATES":
-        mean = ordinates.mean_radiance(light, params.directions, area).reshape(*shape, 3)
+        mean = ordinates.mean_radiance(light, _across_a_face(params), area).reshape(*shape, 3)
     else:
         mean = np.moveaxis(light[:, 0], 0, -1) * np.float32(2 * np.sqrt(np.pi) / (4 * np.pi) / area)
     layer = np.take(mean, min(int(share * shape[axis]), shape[axis] - 1), axis)

@@ -27,8 +27,11 @@ def patch(n: int, row: int, column: int, samples: int = 64) -> tuple[np.ndarray,
 
 
 def face_set(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """All patches of a face."""
-    patches = [patch(n, row, column) for row, column in itertools.product(range(n), repeat=2)]
+    """All patches of a face, by quadrants: low rows and columns first, then low rows and high columns."""
+    half = n // 2
+    places = [(half * i + row, half * j + column) for i, j in itertools.product(range(2), repeat=2)
+              for row, column in itertools.product(range(half), repeat=2)]
+    patches = [patch(n, row, column) for row, column in places]
     return np.array([d for d, _ in patches]), np.array([w for _, w in patches])
 
 
@@ -144,15 +147,39 @@ def injected(position: np.ndarray, normal: np.ndarray, power: float, n: int, sha
     return out
 
 
-def irradiance_of_flux(flux: np.ndarray, normal: np.ndarray, n: int, cell_m: float) -> float:
-    """W/m2 on a surface in a cell that `flux` (6, n n) W passes."""
+def irradiance_at(flux: np.ndarray, position: np.ndarray, normal: np.ndarray, n: int, cell_m: float) -> float:
+    """W/m2 on a surface at a place in cells, in an empty grid with flux (6, n n, *shape) W.
+
+    Each quadrant of directions is followed, by its mean slope, to the planes before and behind the place.
+    """
     local, solid_angle = face_set(n)
     total = even = 0.0
+    quarter = n * n // 4
     for group, (axis, sign) in enumerate(AXES):
-        for d in range(n * n):
-            cosine = max(0.0, -turned(local[d], axis, sign) @ normal)
-            total += cosine * flux[group, d] / (cell_m**2 * local[d, 2])
-            even += cosine * solid_angle[d]
+        sides = [(axis + 1) % 3, (axis + 2) % 3]
+        for quadrant in range(4):
+            lanes = np.arange(quadrant * quarter, (quadrant + 1) * quarter)
+            slope = np.average(local[lanes, :2] / local[lanes, 2:], axis=0, weights=solid_angle[lanes])
+            cosine = np.array([max(0.0, -turned(local[d], axis, sign) @ normal) for d in lanes])
+            weights = {}
+            for plane in (math.floor(position[axis]), math.floor(position[axis]) + 1):
+                way = sign * (position[axis] - plane)
+                came = [position[side] - way * slope[s] for s, side in enumerate(sides)]
+                for corner in itertools.product((0, 1), repeat=2):
+                    cell, weight = [0, 0, 0], 1 - abs(way)
+                    cell[axis] = plane
+                    share = 1.0
+                    for s, side in enumerate(sides):
+                        cell[side] = math.floor(came[s]) + corner[s]
+                        share *= 1 - abs(came[s] - cell[side])
+                    front = normal @ (np.array(cell) - position)
+                    if front > 1e-3:
+                        weights[tuple(cell)] = weight * max(share, 1e-4) * min(1.0, 4 * front)
+            if weights and cosine.any():
+                whole = sum(weights.values())
+                for cell, weight in weights.items():
+                    total += weight / whole * (cosine * flux[(group, lanes, *cell)] / local[lanes, 2]).sum() / cell_m**2
+                even += (cosine * solid_angle[lanes]).sum()
     return total * math.pi / even
 
 
