@@ -121,6 +121,9 @@ def _threads() -> Iterator[Finding]:
     layer, threads = probe_threading_layer()
     mend = "unset NUMBA_THREADING_LAYER, or install tbb or libgomp1: workqueue aborts when two threads call it"
     yield Finding("threading layer", f"{layer}, {threads} threads", mend if layer == "workqueue" else "")
+    from .kernels.embree import embree_version
+
+    yield Finding("rays", f"Embree {embree_version()}, Blender's own" if embree_version() else "RTGI's own tree")
 
 
 def _size_mb(folder: Path) -> float:

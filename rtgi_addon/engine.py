@@ -17,6 +17,7 @@ from .capture.unsupported import unsupported_warnings
 from .capture.versions import HAS_ROUGHNESS_PASS, pass_name
 from .capture.views import ViewCapture, full_sphere, main_camera, read_window, world_axes
 from .core.frame import Frame, World
+from .core.transforms import ViewFormat
 from .errors import Cancelled, InputError, RtgiError
 
 FAR_FROM_ORIGIN_M = 1000.0  # a camera farther out than this becomes the frame's own origin, to keep float32 digits
@@ -121,7 +122,6 @@ class RTGIEngine(bpy.types.RenderEngine):
             scene.render.use_motion_blur = False
         if not HAS_ROUGHNESS_PASS:
             capture_materials.number_materials(depsgraph, self._materials)
-        
         self._data = data
         self._open.enter_context(lights_out(depsgraph))
 
@@ -179,7 +179,7 @@ class RTGIEngine(bpy.types.RenderEngine):
         context.checkpoint("Read triangles", 0.0)
         with stages("triangles"):
             geometry = capture_geometry.read_geometry(depsgraph, self._materials, self._origin_ws, _geometry_cache)
-        views = ViewCapture(self, self._data, depsgraph, self._window, self._origin_ws, self._materials.roughness)
+        views = ViewCapture(self, self._data, depsgraph, self._origin_ws, self._materials.roughness)
         context.checkpoint("Camera view", 0.05)
         with stages("camera view"):
             self._raw = views.passes()
@@ -190,20 +190,18 @@ class RTGIEngine(bpy.types.RenderEngine):
         materials = self._materials.materials
         frame = Frame(camera, gbuffer, self._lights, (), geometry, materials, World(), self._origin_ws, self._warnings)
         low, high = geometry.bounds_ws
-        facts = planner.SceneFacts(self._lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission,
-                                   self._window.is_whole)
+        facts = planner.SceneFacts(self._lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission)
         plan = planner.plan_capture(facts, settings, (low + high) / 2, float(np.linalg.norm(high - low)) / 2)
         captured = []
         with stages("bvh"), kernel_session(settings.threads):
             bvh = context.bvh(geometry)
-        aspect = self._window.shown_aspect
         for number, i in enumerate((*plan.cycles_views, *plan.cast_views)):
             light = self._lights[i]
             context.checkpoint(f"View of {light.name}", 0.1 + 0.3 * number / len(self._lights))
             cast = i in plan.cast_views
-            size = planner.CAST_VIEW_PX if cast else (width, height)
+            form = ViewFormat(planner.CAST_VIEW_TEXELS) if cast else views.format_of_views(planner.VIEW_TEXELS)
             with stages("fit light views"), kernel_session(settings.threads):
-                light_camera = light_views.camera_of(light, frame, bvh, size, aspect)
+                light_camera = light_views.camera_of(light, frame, bvh, form)
             if light_camera is None:
                 continue
             with stages("light views"):
@@ -212,7 +210,7 @@ class RTGIEngine(bpy.types.RenderEngine):
                         captured.append(light_views.cast_view(i, light, light_camera, frame, bvh))
                     continue
                 with views.looking_through(light_camera, *light_views.clip_range_m(light, light_camera, frame)):
-                    seen = views.to_gbuffer(views.passes(), light_camera)
+                    seen = views.to_gbuffer(views.passes(light_camera), light_camera)
                 captured.append(light_views.view_of(i, light, light_camera, seen))
         with stages("world"):
             world = self._capture_world(views, width, height)
@@ -222,9 +220,9 @@ class RTGIEngine(bpy.types.RenderEngine):
     def _capture_world(self, views, width, height):
         if self._world.kind == "constant":
             return World(np.asarray(self._world.radiance, np.float32).reshape(1, 1, 3))
-        if self._world.kind == "black" or not self._window.is_whole:
+        if self._world.kind == "black":
             return World()
-        return World(views.environment(full_sphere(width, height, world_axes())))
+        return World(views.environment(full_sphere(*views.format_of_views(width * height).panorama_px, world_axes())))
 
     def _write(self, depsgraph, frame, result):
         """Combined, our passes and every pass that the user asked for into the render result; the image datablock."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .core.frame import Frame, GBuffer, Geometry, Light, LightKind, LightView, Material, World
+from .core.frame import Cutouts, Frame, GBuffer, Geometry, Light, LightKind, LightView, Material, World
 from .core.transforms import Camera, Projection
 from .errors import InputError
 
@@ -38,12 +38,30 @@ def _light_from_json(values: dict[str, Any]) -> Light:
 
 
 def _put(arrays: dict[str, np.ndarray], prefix: str, value: Any) -> None:
+    """The arrays of a dataclass, those of dataclasses in it too; what is None is left out."""
     for f in dataclasses.fields(value):
-        arrays[f"{prefix}.{f.name}"] = getattr(value, f.name)
+        part = getattr(value, f.name)
+        if dataclasses.is_dataclass(part):
+            _put(arrays, f"{prefix}.{f.name}", part)
+        elif part is not None:
+            arrays[f"{prefix}.{f.name}"] = part
 
 
-def _take(file: Any, prefix: str, kind: type) -> Any:
-    return kind(*(file[f"{prefix}.{f.name}"] for f in dataclasses.fields(kind)))
+def _take(file: Any, prefix: str, kind: type, **parts: Any) -> Any:
+    """What `_put` put; `parts` are fields that hold no array."""
+    names = (f.name for f in dataclasses.fields(kind) if f.name not in parts)
+    return kind(**{name: file[f"{prefix}.{name}"] for name in names}, **parts)
+
+
+def _take_geometry(file: Any) -> Geometry:
+    # files from before there were cutouts hold none
+    has_cutouts = "geometry.cutouts.row" in file
+    return _take(file, "geometry", Geometry,
+                 cutouts=_take_cutouts(file) if has_cutouts else None)
+
+
+def _take_cutouts(file: Any) -> Cutouts:
+    return _take(file, "geometry.cutouts", Cutouts, most_layers=int(file["geometry.cutouts.most_layers"]))
 
 
 def save_frame(path: str | os.PathLike, frame: Frame) -> None:
@@ -69,7 +87,7 @@ def load_frame(path: str | os.PathLike) -> Frame:
         head = json.loads(str(file["head"]))
     except FileNotFoundError:
         raise InputError(f"there is no file {os.fspath(path)}") from None
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
         raise InputError(f"{os.fspath(path)} is not a frame saved by RTGI") from None
     if head["format"] != FORMAT:
         raise InputError(f"{os.fspath(path)} has frame format {head['format']}, this RTGI reads {FORMAT}; capture it again")
@@ -81,5 +99,5 @@ def load_frame(path: str | os.PathLike) -> Frame:
         return Frame(
             camera=_camera_from_json(head["camera"]), gbuffer=_take(file, "gbuffer", GBuffer),
             lights=tuple(_light_from_json(v) for v in head["lights"]), views=views,
-            geometry=_take(file, "geometry", Geometry) if head["has_geometry"] else None, materials=materials,
+            geometry=_take_geometry(file) if head["has_geometry"] else None, materials=materials,
             world=World(file["world"]), origin_ws=file["origin_ws"], warnings=tuple(head["warnings"]))

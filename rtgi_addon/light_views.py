@@ -8,7 +8,7 @@ import numpy as np
 
 from .core.frame import Frame, GBuffer, Light, LightKind, LightView, Material
 from .core.radiometry import texel_flux
-from .core.transforms import Camera, Projection
+from .core.transforms import Camera, Projection, ViewFormat
 from .kernels.bvh import Bvh
 from .kernels.pilot import cast_rays, lit_hits
 from .kernels.vec3 import f32, vector
@@ -18,47 +18,50 @@ TRIM = 0.0015               # share of the pilot's points cut off at each edge o
 WIDE_SPOT_RAD = math.radians(150)   # beyond this a flat image plane wastes its texels at the rim
 TURNS = 36                  # directions tried for the long edge of a sun's view, over half a turn
 MARGIN = 1.02               # a sun's view is this much larger than its points
+LONGEST = 4.0               # longer edge of a sun's view over the shorter one, at most
 
 
-def spot_camera(light: Light, size: tuple[int, int], aspect: float) -> Camera:
-    """Perspective view whose shorter edge spans the cone of a SPOT; for very wide cones an equirectangular one."""
+def spot_camera(light: Light, form: ViewFormat) -> Camera:
+    """Perspective view around the cone of a SPOT; for very wide cones an equirectangular one."""
     half = light.spot_size_rad / 2
     if light.spot_size_rad > WIDE_SPOT_RAD:
-        return Camera(Projection.EQUIRECTANGULAR, light.world_from_light, *size, -half, half, -half, half)
-    edge = math.tan(half) * 1.001
-    half_x, half_y = (edge * aspect, edge) if aspect >= 1 else (edge, edge / aspect)
-    return Camera(Projection.PERSPECTIVE, light.world_from_light, *size, -half_x, half_x, -half_y, half_y)
+        return Camera(Projection.EQUIRECTANGULAR, light.world_from_light, *form.panorama(1.0), -half, half, -half, half)
+    width, height = form.flat_px(1.0)
+    texel = math.tan(half) * 1.001 / min(width * form.texel_aspect, height)
+    half_x, half_y = texel * width * form.texel_aspect, texel * height
+    return Camera(Projection.PERSPECTIVE, light.world_from_light, width, height, -half_x, half_x, -half_y, half_y)
 
 
-def sphere_camera(light: Light, size: tuple[int, int]) -> Camera:
+def sphere_camera(light: Light, form: ViewFormat) -> Camera:
     """Equirectangular view of all that a POINT (the sphere) or an area light (the half sphere before it) can reach."""
     half = math.pi / 2 if light.kind.is_area else math.pi
-    return Camera(Projection.EQUIRECTANGULAR, light.world_from_light, *size, -half, half, -math.pi / 2, math.pi / 2)
+    return Camera(Projection.EQUIRECTANGULAR, light.world_from_light, *form.panorama(half / (math.pi / 2)), -half, half,
+                  -math.pi / 2, math.pi / 2)
 
 
-def sun_camera(light: Light, points_ws: np.ndarray, bounds_ws: tuple[np.ndarray, np.ndarray], size: tuple[int, int],
-               aspect: float) -> Camera:
-    """Orthographic view along a SUN that holds nearly all of `points_ws` (N, 3), turned to waste least."""
+def sun_camera(light: Light, points_ws: np.ndarray, bounds_ws: tuple[np.ndarray, np.ndarray], form: ViewFormat) -> Camera:
+    """Orthographic view along a SUN that holds nearly all of `points_ws` (N, 3), turned and shaped to waste least."""
     rotation = light.world_from_light[:3, :3]
     in_light = points_ws @ rotation
+    scale = max(float(np.linalg.norm(bounds_ws[1] - bounds_ws[0])), 1e-9)
     best = None
     for angle in np.linspace(0, math.pi, TURNS, endpoint=False):
         x_axis, y_axis = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
         x, y = in_light[:, :2] @ x_axis, in_light[:, :2] @ y_axis
         low, high = np.quantile([x, y], [TRIM, 1 - TRIM], axis=1)
-        extent = max(high[0] - low[0], (high[1] - low[1]) * aspect)
-        if best is None or extent < best[0]:
-            best = extent, x_axis, y_axis, (low + high) / 2
-    extent, x_axis, y_axis, centre = best
+        extent = np.maximum(high - low, 1e-3 * scale)
+        width, height = form.flat_px(min(max(extent[0] / extent[1], 1 / LONGEST), LONGEST))
+        texel_m = max(extent[0] / (width * form.texel_aspect), extent[1] / height) * MARGIN
+        if best is None or texel_m < best[0]:
+            best = texel_m, width, height, x_axis, y_axis, (low + high) / 2
+    texel_m, width, height, x_axis, y_axis, centre = best
     turned = np.eye(4)
     turned[:3, :3] = rotation @ np.array([[x_axis[0], y_axis[0], 0], [x_axis[1], y_axis[1], 0], [0, 0, 1.0]])
     corners = np.array([[bounds_ws[i][0], bounds_ws[j][1], bounds_ws[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    scale = float(np.linalg.norm(bounds_ws[1] - bounds_ws[0]))
     top = float((corners @ rotation[:, 2]).max()) + 0.01 * scale
     turned[:3, 3] = turned[:3, :3] @ np.array([centre[0], centre[1], top])
-    half_x = max(extent, 1e-3 * scale, 1e-9) / 2 * MARGIN
-    half_y = half_x / aspect
-    return Camera(Projection.ORTHOGRAPHIC, turned, *size, -half_x, half_x, -half_y, half_y)
+    half_x, half_y = texel_m * width * form.texel_aspect / 2, texel_m * height / 2
+    return Camera(Projection.ORTHOGRAPHIC, turned, width, height, -half_x, half_x, -half_y, half_y)
 
 
 def points_that_matter(frame: Frame, light: Light, bvh: Bvh, seed: int = 0) -> np.ndarray:
@@ -71,19 +74,19 @@ def points_that_matter(frame: Frame, light: Light, bvh: Bvh, seed: int = 0) -> n
     normal = frame.gbuffer.normal_ws.reshape(-1, 3)[chosen]
     low, high = frame.geometry.bounds_ws
     reach = 2 * float(np.linalg.norm(high - low)) + float(np.abs(position).max())
-    offset_m = f32(2e-5 * frame.scale_m)
+    offset_m = f32(frame.ray_offset_m)
     hits, lit = lit_hits(position, normal, bvh, vector(-light.direction_ws), PILOT_RAYS, offset_m, f32(reach), seed)
     return hits[lit]
 
 
-def camera_of(light: Light, frame: Frame, bvh: Bvh, size: tuple[int, int], aspect: float) -> Camera | None:
+def camera_of(light: Light, frame: Frame, bvh: Bvh, form: ViewFormat) -> Camera | None:
     """The view of a lamp; None for a sun whose light reaches nothing that matters."""
     if light.kind is LightKind.SPOT:
-        return spot_camera(light, size, aspect)
+        return spot_camera(light, form)
     if light.kind is not LightKind.SUN:
-        return sphere_camera(light, size)
+        return sphere_camera(light, form)
     points = points_that_matter(frame, light, bvh)
-    return sun_camera(light, points.astype(np.float64), frame.geometry.bounds_ws, size, aspect) if len(points) else None
+    return sun_camera(light, points.astype(np.float64), frame.geometry.bounds_ws, form) if len(points) else None
 
 
 def clip_range_m(light: Light, camera: Camera, frame: Frame) -> tuple[float, float]:
@@ -117,10 +120,11 @@ def cast_view(light_index: int, light: Light, camera: Camera, frame: Frame, bvh:
         face /= np.maximum(np.linalg.norm(face, axis=1, keepdims=True), 1e-30)
         normal[hit] = np.where((face * direction[hit]).sum(1, keepdims=True) > 0, -face, face)
         weight = np.stack([1 - u[hit] - v[hit], u[hit], v[hit]], 1)
-        albedo[hit] = (geometry.albedo[of] * weight[..., None]).sum(1)
+        # colours count what is not there of a surface as black, and a hit is on what is there
+        albedo[hit] = np.minimum((geometry.albedo[of] * weight[..., None]).sum(1) / geometry.coverage(of)[:, None], 1)
         materials = frame.materials or (Material("none"),)
         index = np.clip(geometry.material[of], 0, len(materials) - 1)
-        specular[hit] = np.array([m.specular for m in materials], np.float32)[index]
+        specular[hit] = np.array([np.divide(m.specular, max(m.alpha, 1e-3)) for m in materials], np.float32)[index]
         roughness[hit] = np.array([m.roughness for m in materials], np.float32)[index]
     gbuffer = GBuffer(depth.reshape(shape), position.reshape(*shape, 3), normal.reshape(*shape, 3),
                       albedo.reshape(*shape, 3), specular.reshape(*shape, 3), roughness.reshape(shape),

@@ -11,6 +11,7 @@ from .core.frame import LightKind
 from .core.params import Params
 from .core.synthetic import make_room_frame
 from .core.techniques import TECHNIQUE_PARAMS
+from .core.transforms import ViewFormat
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def warm_up(threads: int = 0) -> Iterator[Step]:
     with kernel_session(threads):
         bvh = context.bvh(frame.geometry)
         for index, light in enumerate(frame.lights):
-            camera = light_views.camera_of(light, frame, bvh, (16, 12), 4 / 3)
+            camera = light_views.camera_of(light, frame, bvh, ViewFormat(192))
             light_views.cast_view(index, light, camera, frame, bvh)
     yield Step("light views", time.perf_counter() - start)
     for name, kind in TECHNIQUE_PARAMS.items():

@@ -1,4 +1,4 @@
-"""World triangles of the evaluated scene, with albedo at the corners and emission.
+"""World triangles of the evaluated scene, with albedo at the corners, emission, and opacity where it is not 1.
 
 Positions are read anew each frame. Colours depend on texture coordinates and materials and not on positions, so
 `GeometryCache` keeps them between frames under a checksum of exactly these.
@@ -7,12 +7,13 @@ Positions are read anew each frame. Colours depend on texture coordinates and ma
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
 
 from ..core.frame import Geometry
+from .cutouts import CutoutBuilder, MeshCutouts, Opacity, join_cutouts, read_opacity, shadow_trace
 from .images import ImageCache
 from .materials import SURFACE_TYPES, MaterialCache, MaterialTable, SurfaceReader
 
@@ -37,6 +38,15 @@ class _Colours:
     emission: np.ndarray
     material: np.ndarray
     keep: np.ndarray | None
+    cutouts: MeshCutouts | None = None
+
+
+@dataclass(frozen=True)
+class _Opacities:
+    """Of each material of a table: its Opacity, None for an opaque one, and what it depends on."""
+
+    found: tuple[Opacity | None, ...]
+    traces: tuple[tuple, ...]
 
 
 @dataclass
@@ -49,7 +59,8 @@ class GeometryCache:
     materials: MaterialCache = field(default_factory=MaterialCache)
     topologies: dict[tuple, _Topology] = field(default_factory=dict)
     colours: dict[tuple, _Colours] = field(default_factory=dict)
-    joined: tuple[list[_Colours], tuple[np.ndarray, ...]] = ([], ())
+    opacities: dict[tuple, Opacity | None] = field(default_factory=dict)
+    joined: tuple[list[_Colours], int, tuple] = ([], 0, ())
 
 
 def _lattice(splits: int) -> tuple[np.ndarray, np.ndarray]:
@@ -209,14 +220,29 @@ def _by_triangle(values: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
     return np.broadcast_to(values, (shape[0] * shape[1], 3)).reshape(shape)
 
 
-def _shade(mesh: _Mesh, slot_materials: tuple[int, ...], table: MaterialTable, images: ImageCache) -> _Colours:
+def _read_opacities(table: MaterialTable, cache: GeometryCache) -> _Opacities:
+    """Opacities of the materials; the maps of the last frame where nothing changed."""
+    found: list[Opacity | None] = [None] * len(table.materials)
+    traces: list[tuple] = [()] * len(table.materials)
+    kept = {}
+    for k in np.flatnonzero(table.may_let_through):
+        material, images = table.evaluated[k], cache.materials.images
+        traces[k] = shadow_trace(material, images)
+        key = (table.materials[k].name, traces[k])
+        found[k] = kept[key] = cache.opacities[key] if key in cache.opacities else read_opacity(material, images)
+    cache.opacities = kept
+    return _Opacities(tuple(found), tuple(traces))
+
+
+def _shade(mesh: _Mesh, slot_materials: tuple[int, ...], table: MaterialTable, opacities: _Opacities,
+           images: ImageCache) -> _Colours:
     """Colours of a mesh whose slots hold the table's materials `slot_materials`."""
     slots, count = mesh.slots(), len(mesh)
     order = np.array(slot_materials, np.int32)
     # a face beyond the slots shows the last of them, as in Blender
     material = (np.full(count, order[0], np.int32) if slots is None else order[np.clip(slots, 0, len(order) - 1)])
     albedo, emission = np.empty((count, 3, 3), np.float32), np.empty((count, 3), np.float32)
-    keep = np.ones(count, bool)
+    keep, cutouts = np.ones(count, bool), CutoutBuilder(count, images)
     for k in np.unique(material):
         constants = table.materials[k]
         chosen = np.nonzero(material == k)[0]
@@ -226,6 +252,8 @@ def _shade(mesh: _Mesh, slot_materials: tuple[int, ...], table: MaterialTable, i
             keep[where] = False
         if not table.needs[k]:
             albedo[where], emission[where] = constants.albedo, constants.emission
+            if opacities.found[k] is not None:
+                cutouts.add(chosen, table.evaluated[k], opacities.found[k], constants.alpha, mesh.layer)
             continue
         mesh.chosen = None if whole else chosen
         mesh.points, fit = _STEPPED if table.is_stepped[k] else _PLAIN
@@ -233,11 +261,15 @@ def _shade(mesh: _Mesh, slot_materials: tuple[int, ...], table: MaterialTable, i
         shape = (len(chosen), len(mesh.points), 3)
         albedo[where] = np.clip(np.einsum("cp,tpv->tcv", fit, _by_triangle(surface.diffuse, shape)), 0, 1)
         emission[where] = np.maximum(_by_triangle(surface.emission, shape).mean(1), 0)
-        seen = _by_triangle(surface.transparent, shape).mean((1, 2)) < 1 - _INVISIBLE_ALPHA
-        keep[where] &= seen | emission[where].any(1)
+        coverage = 1 - _by_triangle(surface.transparent, shape).mean((1, 2))
+        there = coverage > _INVISIBLE_ALPHA
+        if opacities.found[k] is not None:
+            # three points of a triangle may miss a leaf that its map shows
+            there |= cutouts.add(chosen, table.evaluated[k], opacities.found[k], coverage, mesh.layer)
+        keep[where] &= there | emission[where].any(1)
     if keep.all():
-        return _Colours(albedo, emission, material, None)
-    return _Colours(albedo[keep], emission[keep], material[keep], keep)
+        return _Colours(albedo, emission, material, None, cutouts.build(keep))
+    return _Colours(albedo[keep], emission[keep], material[keep], keep, cutouts.build(keep))
 
 
 @dataclass
@@ -253,7 +285,8 @@ def _is_met_by_rays(source: bpy.types.Object) -> bool:
     return source.visible_diffuse or source.visible_shadow or source.visible_glossy
 
 
-def _read_part(source: bpy.types.Object, table: MaterialTable, cache: GeometryCache, kept: GeometryCache) -> _Part | None:
+def _read_part(source: bpy.types.Object, table: MaterialTable, opacities: _Opacities, cache: GeometryCache,
+               kept: GeometryCache) -> _Part | None:
     """The triangles of an evaluated object; None where it has none."""
     is_mesh = source.type == "MESH"
     data = source.data if is_mesh else source.to_mesh()
@@ -264,15 +297,15 @@ def _read_part(source: bpy.types.Object, table: MaterialTable, cache: GeometryCa
         slots = tuple(table.of(slot.material) for slot in source.material_slots) or (0,)
         needs = frozenset().union(*(table.needs[k] for k in slots))
         index = mesh.slots()
-        key = (len(mesh), slots, tuple(table.traces[k] for k in slots), tuple(table.materials[k].name for k in slots),
+        key = (len(mesh), slots, tuple(table.traces[k] for k in slots), tuple(opacities.traces[k] for k in slots),
+               tuple(table.materials[k].name for k in slots),
                0 if index is None else zlib.crc32(np.ascontiguousarray(index)), mesh.checksum(needs))
         colours = kept.colours.get(key) or cache.colours.get(key)
         if colours is None:
-            colours = _shade(mesh, slots, table, cache.materials.images)
+            colours = _shade(mesh, slots, table, opacities, cache.materials.images)
         kept.colours[key] = colours
         if source.is_holdout:
-            colours = _Colours(np.zeros_like(colours.albedo), np.zeros_like(colours.emission), colours.material,
-                               colours.keep)
+            colours = replace(colours, albedo=np.zeros_like(colours.albedo), emission=np.zeros_like(colours.emission))
         vertices = mesh.vertices if colours.keep is None else mesh.vertices[colours.keep]
         return _Part(mesh.positions, vertices, colours)
     finally:
@@ -307,11 +340,12 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
         Pass the same one in each frame; textures are then sampled only where something changed.
 
     Left out are objects that no diffuse, glossy or shadow ray can meet, and triangles that are fully transparent. The
-    share of a surface that is transparent counts as black in its albedo. NaN coordinates are handed on. The colours of two
-    frames are the same arrays where nothing changed: do not write to them.
+    share of a surface that is transparent counts as black in its albedo; `cutouts` say where it is. NaN coordinates are
+    handed on. The colours of two frames are the same arrays where nothing changed: do not write to them.
     """
     cache = GeometryCache() if cache is None else cache
     kept = GeometryCache()
+    opacities = _read_opacities(table, cache)
     origin_ws = np.asarray(origin_ws, np.float64)
     parts: dict[tuple, _Part | None] = {}
     placed, vertices, colours = [], [], []
@@ -323,7 +357,7 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
         # the data alone does not tell which modifiers and slots an object adds to it; an instance's object is a passing copy
         key = (source.original.as_pointer(), source.data.as_pointer())
         if key not in parts:
-            parts[key] = _read_part(source, table, cache, kept)
+            parts[key] = _read_part(source, table, opacities, cache, kept)
         part = parts[key]
         if part is None or not len(part.vertices):
             continue
@@ -339,8 +373,11 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
         # indices come from Blender and are in range; "clip" only spares the check
         np.take(points, triangles, axis=0, out=corners[start:start + len(triangles)], mode="clip")
         start += len(triangles)
-    last, joined = cache.joined
-    if len(last) != len(colours) or any(a is not b for a, b in zip(last, colours, strict=True)):
-        joined = tuple(np.concatenate([getattr(c, name) for c in colours]) for name in ("albedo", "emission", "material"))
-        cache.joined = (colours, joined)
+    most_layers = depsgraph.scene.cycles.transparent_max_bounces
+    last, last_layers, joined = cache.joined
+    if len(last) != len(colours) or last_layers != most_layers or any(
+            a is not b for a, b in zip(last, colours, strict=True)):
+        joined = (*(np.concatenate([getattr(c, name) for c in colours]) for name in ("albedo", "emission", "material")),
+                  join_cutouts([len(c.material) for c in colours], [c.cutouts for c in colours], most_layers))
+        cache.joined = (colours, most_layers, joined)
     return Geometry(corners, *joined)

@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 _BASE_PX = 256        # longest edge of the finest level
+_CUT_PX = 512         # and of an image with an alpha, which rays look into: the outline of a leaf is sharp
 _READ_PX = 1024       # larger images are read at every n-th pixel before averaging: 16 or more texels still enter a mean
 _KEY_BYTES = 65536    # of a packed file's either end: compressed streams of different pictures differ there
 
@@ -64,7 +65,8 @@ class Pyramid:
     @staticmethod
     def build(pixels: np.ndarray, is_packed: bool = False) -> Pyramid:
         """From (H, W, 4) float32 linear colour times coverage, bottom row first."""
-        levels = [_box_mean(pixels, -(-max(pixels.shape[:2]) // _BASE_PX))]
+        most_px = _CUT_PX if pixels[..., 3].min() < 1 else _BASE_PX
+        levels = [_box_mean(pixels, -(-max(pixels.shape[:2]) // most_px))]
         while levels[-1].shape[0] > 1 or levels[-1].shape[1] > 1:
             levels.append(_box_mean(levels[-1], 2))
         # the coarsest level is the mean of all texels, without those that filled boxes at an edge

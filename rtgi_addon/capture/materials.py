@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core.frame import Material
 from .images import ImageCache
-from .nodes import NodeReader, Points, node_tree, normal_reflectance
+from .nodes import BOUNCED_PATH, NodeReader, Points, node_tree, normal_reflectance
 
 _GLOSSY_NODES = ("BSDF_PRINCIPLED", "BSDF_GLOSSY", "BSDF_ANISOTROPIC")
 SURFACE_TYPES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
@@ -71,8 +71,8 @@ class Surface:
 class SurfaceReader:
     """Reads the closures of one material, with `values` for what feeds them; `found` names what is not modelled."""
 
-    def __init__(self, images: ImageCache, points: Points | None = None):
-        self.values = NodeReader(images, points)
+    def __init__(self, images: ImageCache, points: Points | None = None, light_path: dict[str, float] = BOUNCED_PATH):
+        self.values = NodeReader(images, points, light_path)
         self.found: set[str] = set()
 
     def material(self, material: bpy.types.Material | None) -> Surface:
@@ -232,6 +232,8 @@ class MaterialTable:
         Point data that each material's surface varies with: empty for an even one.
     is_stepped : tuple of bool
         Whether a threshold or ramp shades the material, so that means over texels have to come after it.
+    may_let_through : tuple of bool
+        Whether light may pass straight through some of the material; False for sure where not.
     warnings : tuple of str
         One line for each thing that is not modelled, naming the material.
     evaluated : tuple
@@ -243,6 +245,7 @@ class MaterialTable:
     traces: tuple[tuple, ...]
     needs: tuple[frozenset, ...]
     is_stepped: tuple[bool, ...]
+    may_let_through: tuple[bool, ...]
     warnings: tuple[str, ...]
     evaluated: tuple[bpy.types.Material | None, ...] = field(repr=False)
 
@@ -343,7 +346,7 @@ def read_materials(depsgraph: bpy.types.Depsgraph, cache: MaterialCache | None =
     cache = cache or MaterialCache()
     cache.images.begin(depsgraph.scene.frame_current)
     kept: dict[tuple, Material] = {}
-    materials, traces, needs, stepped, warnings = [], [], [], [], []
+    materials, traces, needs, stepped, through, warnings = [], [], [], [], [], []
     used = used_materials(depsgraph)
     for material in (None, *used):
         reader = SurfaceReader(cache.images)
@@ -361,10 +364,13 @@ def read_materials(depsgraph: bpy.types.Depsgraph, cache: MaterialCache | None =
         traces.append(trace)
         needs.append(frozenset(reader.values.needs))
         stepped.append(reader.values.is_stepped)
+        # a Light Path node may tell shadow rays something else, and a mean of an attribute is not known
+        through.append(found.alpha < 1 - 1e-3 or "LIGHT_PATH" in reader.values.found
+                       or any(kind == "attribute" for kind, _ in reader.values.needs))
         warnings += [f"material {name!r}: {_NOT_MODELLED[what]}" for what in sorted(reader.found)]
     cache.materials = kept
     return MaterialTable(tuple(materials), {m.as_pointer(): k for k, m in enumerate(used, 1)}, tuple(traces), tuple(needs),
-                         tuple(stepped), tuple(warnings), (None, *used))
+                         tuple(stepped), tuple(through), tuple(warnings), (None, *used))
 
 
 def number_materials(depsgraph: bpy.types.Depsgraph, table: MaterialTable) -> None:

@@ -21,8 +21,9 @@ _LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 # the mean of procedural textures whose pattern is not computed: they all spread around the middle of [0, 1]
 _HALF_GREY = {"TEX_NOISE", "TEX_WAVE", "TEX_GRADIENT", "TEX_MAGIC", "TEX_WHITE_NOISE", "TEX_GABOR", "TEX_VORONOI"}
 
-# how a surface acts on the light that bounces, which is what rays and voxels ask for
-_LIGHT_PATH = {"Is Diffuse Ray": 1.0, "Is Reflection Ray": 1.0, "Ray Depth": 1.0, "Diffuse Depth": 1.0}
+# how a surface acts on the light that bounces, which is what rays and voxels ask for; and what stops light on its way
+BOUNCED_PATH = {"Is Diffuse Ray": 1.0, "Is Reflection Ray": 1.0, "Ray Depth": 1.0, "Diffuse Depth": 1.0}
+SHADOW_PATH = {"Is Shadow Ray": 1.0}
 
 
 class Points(Protocol):
@@ -125,6 +126,8 @@ class NodeReader:
     images : ImageCache
     points : Points or None
         Where the tree is evaluated; None gives means over textures and the typed-in values for attributes.
+    light_path : dict
+        What the Light Path node says, 0 for what is not in it: BOUNCED_PATH or SHADOW_PATH.
 
     Attributes
     ----------
@@ -138,15 +141,18 @@ class NodeReader:
         True once a node was met whose mean is not its value at the mean input: thresholds and ramps.
     found : set of str
         Node types met, for warnings.
+    image_px : (int, int)
+        Largest width and height of the images met, as they are sampled.
     """
 
-    def __init__(self, images: ImageCache, points: Points | None = None):
-        self.images, self.points = images, points
+    def __init__(self, images: ImageCache, points: Points | None = None, light_path: dict[str, float] = BOUNCED_PATH):
+        self.images, self.points, self.light_path = images, points, light_path
         self.trace: list[Any] = []
         self.needs: set[tuple[str, str]] = set()
         self.is_constant = True
         self.is_stepped = False
         self.found: set[str] = set()
+        self.image_px = (0, 0)
         self._groups: list[bpy.types.Node] = []
         self._known: dict[tuple, np.ndarray | None] = {}
 
@@ -269,6 +275,7 @@ class NodeReader:
         pyramid = self.images.pyramid(image)
         if pyramid is None:
             return None
+        self.image_px = (max(self.image_px[0], int(pyramid.widths[0])), max(self.image_px[1], int(pyramid.heights[0])))
         texels = pyramid.mean[None]
         uv = None
         if node.projection == "FLAT":
@@ -502,7 +509,7 @@ class NodeReader:
 
     def node_light_path(self, node, output):
         self.is_constant = False
-        return np.full((1, 1), _LIGHT_PATH.get(output.identifier, 0.0), np.float32)
+        return np.full((1, 1), self.light_path.get(output.identifier, 0.0), np.float32)
 
 
 def normal_reflectance(ior: np.ndarray) -> np.ndarray:

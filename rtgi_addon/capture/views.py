@@ -17,7 +17,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core.frame import GBuffer
-from ..core.transforms import Camera, Projection
+from ..core.transforms import Camera, Projection, ViewFormat
 from ..errors import CaptureError, InputError
 from .lights import rigid
 from .needs import ROUGHNESS_PASS
@@ -26,7 +26,9 @@ from .versions import pass_name
 _CAMERA_FIELDS = ("type", "lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y", "ortho_scale",
                   "clip_start", "clip_end", "panorama_type", "latitude_min", "latitude_max", "longitude_min",
                   "longitude_max")
+_SIZE_FIELDS = ("use_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y", "resolution_percentage")
 _SENSOR_M = 36.0            # any width serves: only its ratio to the focal length matters
+OWN_PASSES = "RTGI "          # how the names of the passes begin that RTGI fills itself
 _NOTHING_M = 0.99e10        # Cycles writes 1e10 where a ray meets nothing
 
 
@@ -44,26 +46,11 @@ class Window:
     top: float
     aspect: float
 
-    @property
-    def is_whole(self) -> bool:
-        return (self.left, self.right, self.bottom, self.top) == (0.0, 1.0, 0.0, 1.0)
-
-    def full_edges(self, left: float, right: float, bottom: float, top: float) -> tuple[float, float, float, float]:
-        """Edges of the full frame's image plane whose window has the given edges."""
-        width, height = (right - left) / (self.right - self.left), (top - bottom) / (self.top - self.bottom)
-        full_left, full_bottom = left - self.left * width, bottom - self.bottom * height
-        return full_left, full_left + width, full_bottom, full_bottom + height
-
     def window_edges(self, left: float, right: float, bottom: float, top: float) -> tuple[float, float, float, float]:
         """Edges of the window in a full frame with the given edges."""
         width, height = right - left, top - bottom
         return (left + self.left * width, left + self.right * width,
                 bottom + self.bottom * height, bottom + self.top * height)
-
-    @property
-    def shown_aspect(self) -> float:
-        """Width over height of the window as shown."""
-        return self.aspect * (self.right - self.left) / (self.top - self.bottom)
 
 
 def read_window(render: bpy.types.RenderSettings) -> Window:
@@ -110,19 +97,21 @@ class ViewCapture:
     ----------
     engine : the running RenderEngine, whose `session` is a Cycles session.
     data, depsgraph : as Blender hands them to `update` and `render`.
-    window : Window
     origin_ws : (3,) float64 m, taken off every position.
     material_roughness : (N,) float or None
         Roughness by material index, for a Blender without a roughness pass.
     """
 
     def __init__(self, engine: bpy.types.RenderEngine, data: bpy.types.BlendData, depsgraph: bpy.types.Depsgraph,
-                 window: Window, origin_ws: np.ndarray, material_roughness: np.ndarray | None = None):
+                 origin_ws: np.ndarray, material_roughness: np.ndarray | None = None):
         self.engine, self.data, self.depsgraph = engine, data, depsgraph
-        self.window, self.origin_ws, self.material_roughness = window, origin_ws, material_roughness
+        self.origin_ws, self.material_roughness = origin_ws, material_roughness
 
-    def passes(self) -> dict[str, np.ndarray]:
-        """Render the view and read its passes: (H, W, C) float32 with row 0 at the top."""
+    def passes(self, camera: Camera | None = None) -> dict[str, np.ndarray]:
+        """Render the view and read its passes: (H, W, C) float32 with row 0 at the top.
+
+        `camera` is what `looking_through` was told; without it the view is the frame's own.
+        """
         from cycles import engine as cycles_engine
 
         cycles_engine.reset(self.engine, self.data, self.depsgraph)
@@ -131,67 +120,106 @@ class ViewCapture:
         if result is None:
             raise CaptureError("Cycles returned no render result; look at its messages above")
         width, height, out = result.resolution_x, result.resolution_y, {}
+        part = (slice(None),) if camera is None else (slice(height - camera.height_px, None), slice(camera.width_px))
         for render_pass in result.layers[self.depsgraph.view_layer.name].passes:
-            if render_pass.name == "Combined":
+            if render_pass.name == "Combined" or render_pass.name.startswith(OWN_PASSES):
                 continue
             flat = np.empty(width * height * render_pass.channels, np.float32)
             render_pass.rect.foreach_get(flat)
-            out[render_pass.name] = flat.reshape(height, width, render_pass.channels)[::-1]
+            out[render_pass.name] = flat.reshape(height, width, render_pass.channels)[::-1][part]
         return out
+
+    def format_of_views(self, texels: int) -> ViewFormat:
+        """What `looking_through` can give: Cycles writes every view into the frame's own result.
+
+        A flat view is a border in the frame's lower left corner and so takes the pixels' shape; a panorama cannot be cut
+        by a border and takes the frame's own proportions.
+        """
+        render, result = self.engine.render, self.engine.get_result()
+        limit = result.resolution_x, result.resolution_y
+        percentage = int(100 * math.sqrt(texels / (render.resolution_x * render.resolution_y)))
+        percentage = max(1, min(percentage, *(100 * most // full for most, full in zip(
+            limit, (render.resolution_x, render.resolution_y), strict=True))))
+        panorama = tuple(max(1, full * percentage // 100) for full in (render.resolution_x, render.resolution_y))
+        return ViewFormat(texels, limit, render.pixel_aspect_x / render.pixel_aspect_y, panorama)
 
     @contextlib.contextmanager
     def looking_through(self, camera: Camera, clip_start_m: float, clip_end_m: float) -> Iterator[None]:
-        """Move the evaluated camera to `camera` for the time of the context."""
-        place = self.engine.camera_override
+        """Move the evaluated camera to `camera`, whose size `format_of_views` allowed, for the time of the context.
+
+        The render settings that are set for it are the running render's own copy. Of those only border and percentage can be
+        set: the others' update looks for a scene that the copy does not belong to, and crashes.
+        """
+        place, render = self.engine.camera_override, self.engine.render
         data = place.data
         world = place.matrix_world.copy()
         saved = {name: getattr(data, name) for name in _CAMERA_FIELDS}
-        left, right, bottom, top = self.window.full_edges(camera.left, camera.right, camera.bottom, camera.top)
-        width = right - left
+        saved_size = {name: getattr(render, name) for name in _SIZE_FIELDS}
+        left, right, bottom, top = camera.left, camera.right, camera.bottom, camera.top
         try:
             matrix = camera.world_from_view.copy()
             matrix[:3, 3] += self.origin_ws
             place.matrix_world = Matrix(matrix)
-            data.sensor_fit, data.sensor_width = "HORIZONTAL", _SENSOR_M
             data.clip_start, data.clip_end = clip_start_m, clip_end_m
-            data.shift_x, data.shift_y = (left + right) / 2 / width, (bottom + top) / 2 / width
-            if camera.projection is Projection.PERSPECTIVE:
-                data.type, data.lens = "PERSP", _SENSOR_M / width
-            elif camera.projection is Projection.ORTHOGRAPHIC:
-                data.type, data.ortho_scale = "ORTHO", width
-            else:
+            if camera.projection is Projection.EQUIRECTANGULAR:
+                render.use_border = False
+                # the smallest percentage whose rounding down gives the width
+                render.resolution_percentage = -(-100 * camera.width_px // render.resolution_x)
                 data.type, data.panorama_type, data.shift_x, data.shift_y = "PANO", "EQUIRECTANGULAR", 0.0, 0.0
                 data.longitude_min, data.longitude_max = left, right
                 data.latitude_min, data.latitude_max = bottom, top
+            else:
+                width, height = (max(1, full * render.resolution_percentage // 100)
+                                 for full in (render.resolution_x, render.resolution_y))
+                render.use_border = True
+                render.border_min_x = render.border_min_y = 0.0
+                # half a pixel more, since Cycles rounds down
+                render.border_max_x = min((camera.width_px + 0.5) / width, 1.0)
+                render.border_max_y = min((camera.height_px + 0.5) / height, 1.0)
+                # edges of the full frame whose lower left corner is the view
+                right = left + (right - left) * width / camera.width_px
+                top = bottom + (top - bottom) * height / camera.height_px
+                extent = right - left
+                data.sensor_fit, data.sensor_width = "HORIZONTAL", _SENSOR_M
+                data.shift_x, data.shift_y = (left + right) / 2 / extent, (bottom + top) / 2 / extent
+                if camera.projection is Projection.PERSPECTIVE:
+                    data.type, data.lens = "PERSP", _SENSOR_M / extent
+                else:
+                    data.type, data.ortho_scale = "ORTHO", extent
             yield
         finally:
             place.matrix_world = world
-            for name, value in saved.items():
-                setattr(data, name, value)
+            for owner, values in ((data, saved), (render, saved_size)):
+                for name, value in values.items():
+                    setattr(owner, name, value)
 
     def environment(self, camera: Camera) -> np.ndarray:
         """(H, W, 3) float32 radiance of the world alone: the view starts behind everything."""
         with self.looking_through(camera, 1e6, 2e6):
-            return np.nan_to_num(self.passes()[pass_name("Environment")], posinf=0.0, neginf=0.0)
+            return np.nan_to_num(self.passes(camera)[pass_name("Environment")], posinf=0.0, neginf=0.0)
 
     def to_gbuffer(self, passes: dict[str, np.ndarray], camera: Camera) -> GBuffer:
         depth = passes["Depth"][..., 0]
         seen = (depth > 0) & (depth < _NOTHING_M)
         depth = np.where(seen, depth, np.float32(np.inf))
-        clean = {name: np.nan_to_num(values, posinf=0.0, neginf=0.0) for name, values in passes.items() if name != "Depth"}
-        normal = clean["Normal"]
-        # an emissive or holdout surface has no closure to give a normal: let it face the viewer
-        towards = camera.world_from_view[:3, 2].astype(np.float32)
-        length = np.linalg.norm(normal, axis=-1, keepdims=True)
-        normal = np.where(seen[..., None], np.where(length > 0.1, normal / np.maximum(length, 1e-6), towards),
-                          np.float32([0, 0, 1])).astype(np.float32)
+        clean = {name: _finite(values) for name, values in passes.items() if name != "Depth"}
         albedo = clean[pass_name("Diffuse Color")]
         black = np.zeros_like(albedo)
         specular = clean.get(pass_name("Glossy Color"), black)
-        emission = np.where(seen[..., None], clean.get(pass_name("Emission"), black),
-                            clean.get(pass_name("Environment"), black))
-        arrays = (depth, camera.positions_ws(depth), normal, np.where(seen[..., None], albedo, 0),
-                  np.where(seen[..., None], specular, 0), self._roughness(clean, albedo, specular), emission)
+        emission = clean.get(pass_name("Emission"), black)
+        normal = clean["Normal"]
+        length = np.sqrt(np.einsum("hwc,hwc->hw", normal, normal))
+        # an emissive or holdout surface has no closure to give a normal: let it face the viewer
+        faceless = seen & (length <= 0.1)
+        normal = normal / np.maximum(length, np.float32(1e-6))[..., None]
+        normal[faceless] = camera.world_from_view[:3, 2]
+        roughness = self._roughness(clean, albedo, specular)
+        nothing = ~seen
+        if nothing.any():
+            albedo, specular, emission = albedo.copy(), specular.copy(), emission.copy()
+            normal[nothing], albedo[nothing], specular[nothing] = (0, 0, 1), 0, 0
+            emission[nothing] = clean.get(pass_name("Environment"), black)[nothing]
+        arrays = (depth, camera.positions_ws(depth), normal, albedo, specular, roughness, emission)
         return GBuffer(*(np.ascontiguousarray(a, np.float32) for a in arrays))
 
     def _roughness(self, passes: dict[str, np.ndarray], albedo: np.ndarray, specular: np.ndarray) -> np.ndarray:
@@ -208,6 +236,11 @@ class ViewCapture:
         if index is None or self.material_roughness is None or not len(self.material_roughness):
             return np.ones(albedo.shape[:2], np.float32)
         return self.material_roughness[np.clip(index[..., 0].astype(np.int32), 0, len(self.material_roughness) - 1)]
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """`values` with 0 for what is not finite: Cycles divides by colours that may be black."""
+    return values if np.isfinite(values).all() else np.nan_to_num(values, posinf=0.0, neginf=0.0)
 
 
 def full_sphere(width_px: int, height_px: int, world_from_view: np.ndarray) -> Camera:

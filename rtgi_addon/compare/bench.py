@@ -75,8 +75,9 @@ def measure_scene(path: Path, cache: Path, size: tuple[int, int] = SIZE, repeats
         for preset in sorted(presets, key=lambda name: name != MAIN_PRESET):
             say(f"{path.stem}: RTGI, {preset.lower()}, {repeats + 1} frames")
             settings = settings_for(own, preset, None)
-            first, first_seconds = blender.render_rtgi(scene, settings, size)
-            frames = [blender.render_rtgi(scene, settings, size) for _ in range(repeats)]
+            with blender.keeping_data(scene):
+                first, first_seconds = blender.render_rtgi(scene, settings, size)
+                frames = [blender.render_rtgi(scene, settings, size) for _ in range(repeats)]
             pictures[preset] = frames[-1][0]
             record["rtgi"][preset] = {
                 "first_seconds": first_seconds, "jit_ms": first.report["jit_ms"],

@@ -88,6 +88,13 @@ def on_threads(scene: bpy.types.Scene, threads: int) -> Iterator[None]:
         yield
 
 
+@contextlib.contextmanager
+def keeping_data(scene: bpy.types.Scene) -> Iterator[None]:
+    """Sessions, BVHs and textures stay between the renders in the context ("Persistent Data"), as in an animation."""
+    with changed([(scene.render, "use_persistent_data", True)]):
+        yield
+
+
 def blender_binary() -> str:
     """Path of the Blender that runs, "" where bpy is a module of Python."""
     return bpy.app.binary_path or ""
@@ -252,9 +259,8 @@ def render_peer(scene: bpy.types.Scene, samples: int, denoise: bool = True, repe
     made: a peer pays for nothing that it does not show.
     """
     layer = layer or scene.view_layers[0]
-    with (comparable(scene, size), tempfile.TemporaryDirectory(prefix="rtgi_peer_") as folder,
-          changed([*_one_bounce(scene, layer, samples, seed, denoise), *_passes(layer, ("Combined",)),
-                   (scene.render, "use_persistent_data", True)])):
+    with (comparable(scene, size), keeping_data(scene), tempfile.TemporaryDirectory(prefix="rtgi_peer_") as folder,
+          changed([*_one_bounce(scene, layer, samples, seed, denoise), *_passes(layer, ("Combined",))])):
         _render(scene, layer)
         seconds = tuple(_render(scene, layer) for _ in range(repeats))
         path = Path(folder) / "peer.exr"

@@ -159,8 +159,9 @@ def _compare(blender: Any, scene: Any, path: Path | None, out: Path, techniques:
     main = None
     for name, variant in _variants(settings, techniques):
         say(f"{name}: two frames, the second is timed")
-        first, _ = blender.render_rtgi(scene, variant, size)
-        result, seconds = blender.render_rtgi(scene, variant, size)
+        with blender.keeping_data(scene):
+            first, _ = blender.render_rtgi(scene, variant, size)
+            result, seconds = blender.render_rtgi(scene, variant, size)
         rows[name] = {"seconds": seconds, "errors": errors_of(result, truth)}
         if main is None:
             main, main.report["jit_ms"] = result, first.report["jit_ms"]

@@ -142,6 +142,36 @@ class LightView:
 
 
 @dataclass(frozen=True)
+class Cutouts:
+    """How much of a triangle's surface is there: leaves, chains, fences, panes. Light passes straight through the rest.
+
+    The share that is there (the opacity) is looked up in small maps. The row 0 of a map is the bottom of its picture, and a
+    point (x, y) in lengths of its edges lies in the middle of a texel at +0.5; maps repeat, and between texels they are
+    bilinear. An even opacity is a map of one texel.
+
+    Attributes
+    ----------
+    row : (T,) int32, place of each of the geometry's triangles in the lists below; -1 for an opaque one.
+    uv : (A, 3, 2) float32, where the triangle's corners lie in its map.
+    coverage : (A,) float32, mean opacity of the triangle, about; what its albedo holds already.
+    is_veil : (A,) bool, whether views tell nothing of what light does here: most of what is there of the map lets part of
+        it through, or views are told something else than shadow rays are.
+    place : (A, 3) int32, first texel, height and width of its map.
+    texels : (P,) uint8, opacity in 255ths, rows of all maps one after the other.
+    most_layers : int
+        Behind more of these triangles than this it is dark, whatever they leave: Cycles' limit of transparent bounces.
+    """
+
+    row: np.ndarray
+    uv: np.ndarray
+    coverage: np.ndarray
+    is_veil: np.ndarray
+    place: np.ndarray
+    texels: np.ndarray
+    most_layers: int = 8
+
+
+@dataclass(frozen=True)
 class Geometry:
     """World triangles of the evaluated scene, two-sided.
 
@@ -151,15 +181,26 @@ class Geometry:
     albedo : (T, 3, 3) float32, diffuse reflectance at the corners.
     emission : (T, 3) float32 W/(m2 sr), mean radiance of the triangle.
     material : (T,) int32, index into `Frame.materials`.
+    cutouts : Cutouts or None
+        None where every triangle is opaque, which is most scenes: they pay nothing.
     """
 
     corners_ws: np.ndarray
     albedo: np.ndarray
     emission: np.ndarray
     material: np.ndarray
+    cutouts: Cutouts | None = None
 
     def __len__(self) -> int:
         return len(self.corners_ws)
+
+    def coverage(self, triangle: np.ndarray) -> np.ndarray:
+        """(n,) float32 mean opacity of the triangles (n,), 1 of opaque ones and at least 1/255."""
+        out = np.ones(len(triangle), np.float32)
+        if self.cutouts is not None:
+            row = self.cutouts.row[triangle]
+            out[row >= 0] = np.maximum(self.cutouts.coverage[row[row >= 0]], 1 / 255)
+        return out
 
     @property
     def bounds_ws(self) -> tuple[np.ndarray, np.ndarray]:
@@ -241,6 +282,11 @@ class Frame:
         glossy = [material for material in self.materials if max(material.specular) > 1e-4]
         return not glossy or any(material.keeps_energy for material in glossy)
 
+    @property
+    def ray_offset_m(self) -> float:
+        """What both ends of a ray are lifted off their surfaces by: a fifty-thousandth of the scene's size."""
+        return 2e-5 * self.scale_m
+
     @functools.cached_property
     def scale_m(self) -> float:
         """Size of what matters: twice what the camera sees, at most all geometry.
@@ -248,9 +294,12 @@ class Frame:
         Ray offsets and tolerances are relative to it.
         A ground plane of 10 km under a chair must not set the offsets of the chair's rays.
         """
-        seen = self.gbuffer.position_ws[::4, ::4][self.gbuffer.mask[::4, ::4]]
-        extent = float(np.ptp(np.quantile(seen, [0.02, 0.98], axis=0), axis=0).max()) if len(seen) > 16 else 0.0
-        if self.geometry is None or not len(self.geometry):
+        every = 4 if self.gbuffer.depth.size > 4096 else 1
+        seen = self.gbuffer.position_ws[::every, ::every][self.gbuffer.mask[::every, ::every]]
+        whole = self.geometry.scale_m if self.geometry is not None else 0.0
+        if len(seen) <= 16:                      # too few to tell
+            return whole if whole > 0 else 1.0
+        extent = float(np.ptp(np.quantile(seen, [0.02, 0.98], axis=0), axis=0).max())
+        if not whole > 0:
             return extent if extent > 0 else 1.0
-        whole = self.geometry.scale_m
         return min(whole, 2 * extent) if extent > 1e-3 * whole else max(whole * 1e-3, 1e-9)

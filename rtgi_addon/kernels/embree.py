@@ -141,17 +141,18 @@ def embree_version() -> str:
     return f"{embree.version // 10000}.{embree.version // 100 % 100}.{embree.version % 100}"
 
 
-def build_scene(triangles: np.ndarray, owner: np.ndarray) -> np.ndarray:
+def build_scene(triangles: np.ndarray) -> np.ndarray:
     """(3,) uint64: addresses of a scene over (T, 3, 3) float32 triangles and of its two functions; zeros without Embree.
 
-    The scene is freed with `owner`, an array that whoever traces rays keeps.
+    The scene is freed with this array.
     """
     embree = _shared() if embree_version() else None
-    scene = embree.build(triangles) if embree else None
+    scene = embree.build(np.ascontiguousarray(triangles, np.float32)) if embree else None
     if scene is None:
         return np.zeros(3, np.uint64)
-    weakref.finalize(owner, embree.library.rtcReleaseScene, scene).atexit = False
-    return np.array([scene, *embree.functions], np.uint64)
+    rays = np.array([scene, *embree.functions], np.uint64)
+    weakref.finalize(rays, embree.library.rtcReleaseScene, scene).atexit = False
+    return rays
 
 
 def _words(builder: ir.IRBuilder, numbers: list[tuple[int, Any]]) -> tuple[ir.Value, ir.Value]:
@@ -180,11 +181,11 @@ def _call(builder: ir.IRBuilder, rays: Any, function: int, memory: ir.Value) -> 
                  [builder.inttoptr(address(0), byte), memory, ir.Constant(byte, None)])
 
 
-def _ray(values: list[ir.Value], far: ir.Value) -> list[tuple[int, Any]]:
-    zero, all_bits = ir.Constant(ir.FloatType(), 0.0), ir.Constant(ir.IntType(32), 0xFFFFFFFF)
-    none = ir.Constant(ir.IntType(32), 0)
+def _ray(values: list[ir.Value], near: ir.Value, far: ir.Value) -> list[tuple[int, Any]]:
+    all_bits, none = ir.Constant(ir.IntType(32), 0xFFFFFFFF), ir.Constant(ir.IntType(32), 0)
+    zero = ir.Constant(ir.FloatType(), 0.0)
     ox, oy, oz, dx, dy, dz = values
-    return [(0, ox), (1, oy), (2, oz), (3, zero), (4, dx), (5, dy), (6, dz), (7, zero), (_T_FAR, far), (_MASK, all_bits),
+    return [(0, ox), (1, oy), (2, oz), (3, near), (4, dx), (5, dy), (6, dz), (7, zero), (_T_FAR, far), (_MASK, all_bits),
             (10, none), (11, none)]
 
 
@@ -199,7 +200,7 @@ def _far_after_occlusion(typing, rays, ox, oy, oz, dx, dy, dz, far):
 
     def generate(context, builder, signature, arguments):
         rays = context.make_array(_ADDRESSES)(context, builder, arguments[0])
-        words, memory = _words(builder, _ray(arguments[1:7], arguments[7]))
+        words, memory = _words(builder, _ray(arguments[1:7], ir.Constant(ir.FloatType(), 0.0), arguments[7]))
         _call(builder, rays, 1, memory)
         return builder.load(builder.gep(words, [ir.Constant(ir.IntType(32), _T_FAR)]))
 
@@ -207,16 +208,16 @@ def _far_after_occlusion(typing, rays, ox, oy, oz, dx, dy, dz, far):
 
 
 @intrinsic
-def intersect(typing, rays, ox, oy, oz, dx, dy, dz, far):
-    """(t, triangle, u, v) of the nearest hit before `far`; triangle -1 for none. Both corners' weights as in `bvh`."""
+def intersect(typing, rays, ox, oy, oz, dx, dy, dz, near, far):
+    """(t, triangle, u, v) of the nearest hit between `near` and `far`; triangle -1 for none; weights u, v as in `bvh`."""
     result = types.Tuple((types.float32, types.int32, types.float32, types.float32))
-    signature = result(_ADDRESSES, *_FLOATS, types.float32)
+    signature = result(_ADDRESSES, *_FLOATS, types.float32, types.float32)
 
     def generate(context, builder, signature, arguments):
         rays = context.make_array(_ADDRESSES)(context, builder, arguments[0])
         nothing = ir.Constant(ir.IntType(32), 0xFFFFFFFF)
         hit = [(_PRIMITIVE, nothing), *((at, nothing) for at in range(_PRIMITIVE + 1, 21))]
-        words, memory = _words(builder, [*_ray(arguments[1:7], arguments[7]), *hit])
+        words, memory = _words(builder, [*_ray(arguments[1:7], *arguments[7:]), *hit])
         _call(builder, rays, 2, memory)
 
         def word(at: int) -> ir.Value:
@@ -237,6 +238,6 @@ def occluded(rays, ox, oy, oz, dx, dy, dz, far):
 
 @device_jit
 def _ask(rays):
-    through = intersect(rays, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1e9)
+    through = intersect(rays, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1e9)
     return (through, occluded(rays, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 3.0),
             not occluded(rays, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 3.0))

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from .brdf import INV_PI, ggx_lobe
-from .bvh import STACK, is_occluded
+from .bvh import STACK, visibility
 from .clusters import (
     ALPHA2,
     C_ALPHA2,
@@ -33,7 +33,7 @@ from .clusters import (
     NORMAL,
     TO_LIGHT,
 )
-from .jit import device_jit, pixel_jit, prange
+from .jit import inline_jit, pixel_jit, prange
 from .sampling import uniform
 from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_column, scaled, sub
 
@@ -46,7 +46,7 @@ NEAR_TEXELS = 8192          # texels of near clusters that a point weighs one by
 POINTS_A_BLOCK = 32         # points that one thread takes at a time, so that scratch is allocated once for them
 
 
-@device_jit
+@inline_jit
 def _record_factors(p, n, R, k, eps2):
     """(diffuse, glossy): irradiance at point p, normal n is diffuse * R[k, DIFFUSE] + glossy * R[k, GLOSSY]; 1/m2."""
     d = sub(load(R, k), p)
@@ -61,7 +61,7 @@ def _record_factors(p, n, R, k, eps2):
     return cos_r * cos_e / (r2 * r2) * INV_PI, glossy
 
 
-@device_jit
+@inline_jit
 def _weigh(p, n, C, has_glossy, w):
     """Unshadowed weight of every cluster: 0 only where no texel of it can be above both horizons.
 
@@ -84,10 +84,11 @@ def _weigh(p, n, C, has_glossy, w):
             # lift the direction by the cluster's size: part of it sees the point even where its centre does not
             to_point = along(scaled(d, -inv), m, radius * HALF * inv)
             lobe = ggx_lobe(m, load_column(C, C_TO_LIGHT, c), to_point, wide, C[C_F0, c])
-            w[c] += (C[C_GLOSSY, c] * cos_r * inv / r2 * lobe) if cos_e > ZERO else ZERO
+            # a cluster without a lobe has an F0 of 0 too, and its lobe may be 0 / 0
+            w[c] += (C[C_GLOSSY, c] * cos_r * inv / r2 * lobe) if min(C[C_GLOSSY, c], cos_e) > ZERO else ZERO
 
 
-@device_jit
+@inline_jit
 def _weigh_texels(p, n, T, has_glossy, eps2, first, number, out, at):
     """Mean over the colours of what each of `number` texels gives unshadowed, to out[at:]; returns their sum."""
     total = ZERO
@@ -108,7 +109,7 @@ def _weigh_texels(p, n, T, has_glossy, eps2, first, number, out, at):
     return total
 
 
-@device_jit
+@inline_jit
 def _pick_near(gives, first, number, goal):
     """(index, what it gives): the first of gives[first:first + number] at which their running sum passes `goal`."""
     run, found, gives_found = ZERO, -1, ZERO
@@ -121,7 +122,7 @@ def _pick_near(gives, first, number, goal):
     return found, gives_found
 
 
-@device_jit
+@inline_jit
 def _by_flux(running, first, last, u):
     """The column of [first, last) in proportion to flux, by bisection."""
     base, span = running[first], running[last] - running[first]
@@ -135,7 +136,7 @@ def _by_flux(running, first, last, u):
     return lo
 
 
-@device_jit
+@inline_jit
 def _pick_far(p, n, R, running, eps2, first, last, u, v):
     """(texel, share) by resampling: CANDIDATES texels drawn by flux, one of them kept by what it gives here.
 
@@ -158,7 +159,7 @@ def _pick_far(p, n, R, running, eps2, first, last, u, v):
     return k, gives_k * f32(number) / max(total, f32(1e-30))
 
 
-@device_jit
+@inline_jit
 def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack):
     """(r, g, b, unshadowed mean, variance of the mean) at one point.
 
@@ -204,10 +205,11 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
             continue
         target_point = lifted(load(R, k), Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2]), offset_m)
         start_point = begun(origin, sub(target_point, origin), offset_m)
-        if is_occluded(bvh, stack, start_point, sub(target_point, start_point)):
+        arrives = visibility(bvh, stack, start_point, sub(target_point, start_point))
+        if arrives == ZERO:
             continue
         s = total / (w[c] * share * f32(rays))
-        s *= min(ONE, MAX_SHARES * total / f32(rays) / (gives * s))
+        s *= arrives * min(ONE, MAX_SHARES * total / f32(rays) / (gives * s))
         red += s * (diffuse * R[k, DIFFUSE] + glossy * R[k, GLOSSY])
         green += s * (diffuse * R[k, DIFFUSE + 1] + glossy * R[k, GLOSSY + 1])
         blue += s * (diffuse * R[k, DIFFUSE + 2] + glossy * R[k, GLOSSY + 2])

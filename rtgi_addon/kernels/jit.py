@@ -13,17 +13,22 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
 from numba import prange
-from numba.core import event
+from numba.core import event, types
 
 from ..core.cache_root import cache_root
 
 __all__ = ["cache_dir", "compiled_s", "device_jit", "inline_jit", "kernel_session", "pixel_jit", "prange",
            "probe_threading_layer", "threading_layer"]
 
+# loops are parallel where they say so. Array expressions are not: numba would compile each as a kernel of its own, and
+# compiling takes a sixth less without
+PRANGE_ONLY = {"prange": True, "comprehension": False, "reduction": False, "inplace_binop": False, "setitem": False,
+               "numpy": False, "stencil": False, "fusion": False}
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 _PACKAGE = Path(__file__).resolve().parent.parent
 _kernel_lock = threading.Lock()
@@ -61,9 +66,17 @@ def _with_cache(decorate: Callable) -> Callable:
     return wrapper
 
 
+def _without_literals(dispatcher: Any) -> Any:
+    """Callers' literal numbers become plain integers: numba would compile a helper anew for each of them."""
+    template = dispatcher.get_call_template
+    dispatcher.get_call_template = lambda args, kws: template(
+        tuple(map(types.unliteral, args)), {name: types.unliteral(kind) for name, kind in kws.items()})
+    return dispatcher
+
+
 def device_jit(function: Callable) -> Callable:
     """A helper that kernels call, or a serial kernel."""
-    return _with_cache(numba.njit(fastmath=FAST, error_model="numpy", nogil=True, cache=True))(function)
+    return _without_literals(_with_cache(numba.njit(fastmath=FAST, error_model="numpy", nogil=True, cache=True))(function))
 
 
 def inline_jit(function: Callable) -> Callable:
@@ -71,12 +84,14 @@ def inline_jit(function: Callable) -> Callable:
 
     For small functions without branches in loops over texels; the glossy lobe there costs 1.1 instead of 18 ns.
     """
-    return _with_cache(numba.njit(fastmath=FAST, error_model="numpy", nogil=True, cache=True, forceinline=True))(function)
+    return _without_literals(
+        _with_cache(numba.njit(fastmath=FAST, error_model="numpy", nogil=True, cache=True, forceinline=True))(function))
 
 
 def pixel_jit(function: Callable) -> Callable:
     """A kernel over independent pixels, texels or points with `prange`; bitwise the same on any number of threads."""
-    return _with_cache(numba.njit(fastmath=FAST, error_model="numpy", nogil=True, parallel=True, cache=True))(function)
+    return _with_cache(
+        numba.njit(fastmath=FAST, error_model="numpy", nogil=True, parallel=PRANGE_ONLY, cache=True))(function)
 
 
 @contextlib.contextmanager

@@ -21,12 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .bvh import closest_hit, triangle_normal
+from .bvh import closest_triangle, triangle_normal
 from .jit import device_jit
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, scaled
 
 PERSPECTIVE, ORTHOGRAPHIC, EQUIRECTANGULAR = 0, 1, 2
 LIT, DARK, ASK = 1, 2, 3
+BROKEN, VEILED = 1, 2       # what `ShadowMap.broken` says of a texel
 CLEAR_PX = f32(3)           # texels by which an occluder must stand clear of a point to be trusted
 NOTHING = f32(-1e30)        # height where a view sees nothing, and reach where no silhouette is
 TOLERANCE_PX = f32(0.05)    # steps below this share of a texel's footprint are seen as one surface
@@ -36,12 +37,16 @@ MARGIN_PX = f32(1.5)        # silhouettes nearer than this make a point ambiguou
 POLE = f32(0.1)             # rows of an equirectangular view whose cosine of latitude is smaller are never trusted
 
 
+NO_VEILS = np.zeros((0, 5))
+
+
 class ShadowMap(NamedTuple):
     """One light's view, as kernels take it.
 
     view_from_world (3, 4) float32; left, top: edges of the image plane; step_x, step_y: size of a texel on it;
     height (H, W) float32; reach (H, W) float32 texels (see the module's docstring), and `tallest` (H, W) float32, the height
-    of the silhouette that gives it; broken (H, W) uint8, 1 beside a jump; k: texels of half shadow for a unit of height.
+    of the silhouette that gives it; broken (H, W) uint8, BROKEN beside a jump and VEILED where something may stand that lets
+    part of the light through; k: texels of half shadow for a unit of height.
     """
 
     projection: int
@@ -58,10 +63,12 @@ class ShadowMap(NamedTuple):
 
 
 def build_shadow_map(projection: int, view_from_world: np.ndarray, left: float, top: float, step_x: float, step_y: float,
-                     depth: np.ndarray, source: float) -> ShadowMap:
+                     depth: np.ndarray, source: float, veils: np.ndarray = NO_VEILS) -> ShadowMap:
     """A ShadowMap of the `depth` (H, W) m that a light sees, +inf for nothing.
 
-    `source` is the radius of the light's shape in m, or for an orthographic view the tangent of half its angle.
+    `source` is the radius of the light's shape in m, or for an orthographic view the tangent of half its angle. `veils` (n,
+    5) are boxes in which a depth tells nothing of light that gets through: lowest and highest column, lowest and highest row
+    (texels' edges at whole numbers) and the least depth m.
     """
     seen = np.isfinite(depth) & (depth > 0)
     safe = np.where(seen, depth, 1)
@@ -73,12 +80,30 @@ def build_shadow_map(projection: int, view_from_world: np.ndarray, left: float, 
         row_scale = (1 / np.maximum(np.cos(latitude), POLE)).astype(np.float32)
     is_wrapped = projection == EQUIRECTANGULAR and abs(step_x * height.shape[1] - 2 * math.pi) < 1e-3
     tallest = _find_jumps(height, TOLERANCE_PX * max(step_x, step_y), projection == ORTHOGRAPHIC, is_wrapped)
-    broken = tallest != NOTHING
-    reach = np.where(broken, k * row_scale[:, None] * tallest, NOTHING)
+    broken = (tallest != NOTHING).astype(np.uint8)
+    _draw_veils(veils, projection, is_wrapped, tallest, broken)
+    reach = np.where(broken > 0, k * row_scale[:, None] * tallest, NOTHING)
     for _ in range(2 if is_wrapped else 1):
         _spread_reach(reach, tallest, is_wrapped)
     return ShadowMap(projection, np.ascontiguousarray(view_from_world[:3], np.float32), f32(left), f32(top), f32(step_x),
-                     f32(step_y), height, reach, tallest, broken.view(np.uint8), k)
+                     f32(step_y), height, reach, tallest, broken, k)
+
+
+def _draw_veils(veils: np.ndarray, projection: int, is_wrapped: bool, tallest: np.ndarray, broken: np.ndarray) -> None:
+    """Mark the texels of boxes in `broken`, and in `tallest` the height of the highest thing in each."""
+    rows, columns = tallest.shape
+    # a texel more on each side: a point between two texels asks both
+    low = np.floor(veils[:, [0, 2]]).astype(np.int64) - 1
+    high = np.ceil(veils[:, [1, 3]]).astype(np.int64) + 1
+    height = -veils[:, 4] if projection == ORTHOGRAPHIC else 1 / np.maximum(veils[:, 4], 1e-9)
+    for (left, top), (right, bottom), tall in zip(low, high, height.astype(np.float32), strict=True):
+        here = slice(max(top, 0), max(bottom, 0))
+        if is_wrapped:
+            across = np.arange(left, min(right, left + columns)) % columns
+        else:
+            across = slice(max(left, 0), max(right, 0))
+        broken[here, across] = VEILED
+        tallest[here, across] = np.maximum(tallest[here, across], tall)
 
 
 def no_shadow_map() -> ShadowMap:
@@ -282,6 +307,8 @@ def look_around(m, p, n, error):
             c = _corner(m, y, x)
             if c < 0:
                 return ASK
+            if m.broken[y, c] == VEILED:
+                return ASK
             there = m.height[y, c]
             scale = ONE if m.projection == ORTHOGRAPHIC else max(there, h)
             slack = (TOLERANCE_PX * foot + error * scale) * scale
@@ -325,9 +352,10 @@ def find_surface(bvh, stack, p, towards_viewer, span):
     """(found, point, normal on the viewer's side): the triangle at p, met along the viewer's ray within `span` m of p.
 
     Positions that come from a depth pass are off by some ulps of the viewer's distance, and shading normals need not be
-    those of the triangle. Shadow rays that start from the triangle itself need only the offset of its own rounding.
+    those of the triangle. Shadow rays that start from the triangle itself need only the offset of its own rounding. The
+    pixel shows the triangle, so it is there.
     """
-    t, slot, _, _ = closest_hit(bvh, stack, along(p, towards_viewer, span), scaled(towards_viewer, -span), f32(2))
+    t, slot, _, _ = closest_triangle(bvh, stack, along(p, towards_viewer, span), scaled(towards_viewer, -span), f32(2))
     if slot < 0:
         return False, p, towards_viewer
     n = triangle_normal(bvh, slot)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from .brdf import INV_PI
-from .bvh import STACK, is_occluded
+from .bvh import STACK, visibility
 from .jit import device_jit, pixel_jit, prange
 from .sampling import TWO_PI, cosine_hemisphere, r2_sequence, uniform
 from .vec3 import ONE, ZERO, Vec3, begun, dot, f32, lifted, load, scaled, tangent_frame, to_world
@@ -85,7 +85,9 @@ def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_sha
             r, g, b = radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2]
             mean = f32(1 / 3) * weight * (r + g + b)
             given += mean
-            if mean > ZERO and not is_occluded(bvh, stack, begun(origin, d, offset_m), scaled(d, reach_m)):
+            if mean > ZERO:
+                arrives = visibility(bvh, stack, begun(origin, d, offset_m), scaled(d, reach_m))
+                weight, mean = weight * arrives, mean * arrives
                 red, green, blue = red + weight * r, green + weight * g, blue + weight * b
                 squares += mean * mean
         out[m, 0], out[m, 1], out[m, 2], out[m, 3] = red, green, blue, given

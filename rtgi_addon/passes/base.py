@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.frame import Frame, Geometry
+from ..core.frame import Cutouts, Frame, Geometry
 from ..core.params import Params
 from ..errors import Cancelled
 
@@ -60,6 +60,8 @@ class Context:
                  report: Callable[[str, float], None] = lambda text, share: None):
         self.is_cancelled, self._report = is_cancelled, report
         self._bvh_of: np.ndarray | None = None
+        self._cutouts_of: Cutouts | None = None
+        self._tree: Any = None                   # as it is without cutouts
         self._bvh: Any = None
         self.light: dict[Transport, np.ndarray] = {}
 
@@ -76,13 +78,15 @@ class Context:
 
     def bvh(self, geometry: Geometry) -> Any:
         """`kernels.bvh.Bvh` over the triangles of `geometry`."""
-        from ..kernels.bvh import build_bvh
+        from ..kernels.bvh import build_bvh, with_cutouts
 
         same = self._bvh_of is geometry.corners_ws or (
             self._bvh_of is not None and np.array_equal(self._bvh_of, geometry.corners_ws))
         if not same:
-            self._bvh = build_bvh(geometry.corners_ws)
-        self._bvh_of = geometry.corners_ws
+            self._tree = build_bvh(geometry.corners_ws)
+        if not same or self._cutouts_of is not geometry.cutouts:
+            self._bvh = with_cutouts(self._tree, geometry.cutouts)
+        self._bvh_of, self._cutouts_of = geometry.corners_ws, geometry.cutouts
         return self._bvh
 
 

@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.frame import Frame, Light, LightKind, LightView
+from ..core.frame import Frame, Geometry, Light, LightKind, LightView
 from ..core.techniques import DirectParams
 from ..core.transforms import Projection
 from ..kernels import lamps, shadow
 from ..kernels.brdf import albedo_table, fit_lobe
-from ..kernels.bvh import STACK, Bvh, is_occluded
+from ..kernels.bvh import STACK, Bvh, visibility
 from ..kernels.jit import device_jit, pixel_jit, prange
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
@@ -90,7 +90,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
         if not np.any(light.power > 0) or (light.diffuse_factor <= 0 and light.glossy_factor <= 0):
             continue
         test = _test_of(light, index in views, has_rays, params)
-        shadow_map = pack_shadow_map(views.get(index) if test == MAP else None, light)
+        shadow_map = pack_shadow_map(views.get(index) if test == MAP else None, light, frame.geometry)
         colours = np.concatenate([light.power * light.diffuse_factor, light.power * light.glossy_factor,
                                   [LUMINANCE @ light.power]]).astype(np.float32)
         common = (pack_lamp(light, far_m), colours, pixels, seed * 7919 + index)
@@ -200,8 +200,8 @@ def pack_lamp(light: Light, far_m: float) -> Lamp:
     return Lamp(kind, places, *numbers)
 
 
-def pack_shadow_map(view: LightView | None, light: Light) -> shadow.ShadowMap:
-    """The map of `view`; one that never answers for None."""
+def pack_shadow_map(view: LightView | None, light: Light, geometry: Geometry | None = None) -> shadow.ShadowMap:
+    """The map of `view`; one that never answers for None. Where `geometry` lets part of the light through, it asks."""
     if view is None:
         return shadow.no_shadow_map()
     source = light.radius_m
@@ -209,9 +209,14 @@ def pack_shadow_map(view: LightView | None, light: Light) -> shadow.ShadowMap:
         source = math.tan(min(light.angle_rad, math.pi - 0.02) / 2)
     elif light.kind.is_area:
         source = math.hypot(light.size_x_m, light.size_y_m) / 2
-    camera = view.camera
+    camera, veils = view.camera, shadow.NO_VEILS
+    if geometry is not None and geometry.cutouts is not None:
+        row = geometry.cutouts.row
+        corners = geometry.corners_ws[np.flatnonzero((row >= 0) & geometry.cutouts.is_veil[np.maximum(row, 0)])]
+        corners = corners[np.isfinite(corners).all((1, 2))]
+        veils = np.column_stack(camera.boxes_around(corners))
     return shadow.build_shadow_map(_PROJECTIONS[camera.projection], camera.view_from_world, camera.left, camera.top,
-                                   *camera.pixel_size, view.gbuffer.depth, source)
+                                   *camera.pixel_size, view.gbuffer.depth, source, veils)
 
 
 @device_jit
@@ -287,22 +292,23 @@ def _ray_start(bvh, stack, p, n, viewer, distance, error):
 
 
 @device_jit
-def _is_seen(bvh, stack, start, side, p, d):
-    """Does the vector d from p to a lamp arrive? A lamp behind the triangle's own plane is hidden by it."""
+def _seen(bvh, stack, start, side, p, d):
+    """Share of light that gets along the vector d from a lamp to p; none from behind the triangle's own plane."""
     if dot(side, d) <= ZERO:
-        return False
+        return ZERO
     # in a crease rounding may put the start behind the other surface: begin a few units in the last place along the ray
     size = max(abs(p.x), max(abs(p.y), abs(p.z)))
     begin = begun(start, d, SKIP * size)
-    return not is_occluded(bvh, stack, begin, Vec3(p.x + d.x - begin.x, p.y + d.y - begin.y, p.z + d.z - begin.z))
+    return visibility(bvh, stack, begin, Vec3(p.x + d.x - begin.x, p.y + d.y - begin.y, p.z + d.z - begin.z))
 
 
 @device_jit
 def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots, rays, shift_u, shift_v):
     """(share of the irradiance, share of the glossy light) that arrives at p.
 
-    Pilots to the rim and half-way in come first, for lamps that look large more of them; where they agree they decide,
-    otherwise `rays` samples do, in proportion to what each would carry. Without pilots the samples always do.
+    Pilots to the rim and half-way in come first, for lamps that look large more of them; where they agree (behind a pane
+    too) they decide, otherwise `rays` samples do, in proportion to what each would carry. Without pilots the samples
+    always do.
     """
     size = lamps.apparent_size(lamp, p)
     if size == ZERO:
@@ -310,7 +316,7 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
     elif pilots > 0 and size > BIG:
         pilots += BIG_PILOTS
     alpha = max(max(alpha, f32(0.3) * min(size, ONE)), lamps.LEAST_ALPHA)
-    seen, diffuse_all, diffuse_seen, glossy_all, glossy_seen = 0, ZERO, ZERO, ZERO, ZERO
+    first, diffuse_all, diffuse_seen, glossy_all, glossy_seen = ONE, ZERO, ZERO, ZERO, ZERO
     i, last = 0, pilots if pilots > 0 else rays
     while i < last:
         x, y, share = ZERO, ZERO, ONE
@@ -322,19 +328,18 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
         d, weight = lamps.lamp_at(lamp, p, x, y)
         unit = normalized_or(d, n)
         diffuse = weight * share * max(dot(n, unit), ZERO)
-        is_seen = (i < pilots or diffuse > ZERO) and _is_seen(bvh, stack, start, side, p, d)
+        seen = _seen(bvh, stack, start, side, p, d) if i < pilots or diffuse > ZERO else ZERO
         if i < pilots:
-            seen += is_seen
-            if 0 < seen <= i:                    # they disagree: the samples decide
+            first = seen if i == 0 else first
+            if seen != first:                    # they disagree: the samples decide
                 i, last = pilots - 1, pilots + rays
         elif diffuse > ZERO:
             glossy = weight * share * lamps.ggx_lobe(n, viewer, unit, alpha * alpha, f0)
             diffuse_all, glossy_all = diffuse_all + diffuse, glossy_all + glossy
-            if is_seen:
-                diffuse_seen, glossy_seen = diffuse_seen + diffuse, glossy_seen + glossy
+            diffuse_seen, glossy_seen = diffuse_seen + seen * diffuse, glossy_seen + seen * glossy
         i += 1
     if last == pilots and pilots > 0:
-        return (ONE, ONE) if seen > 0 else (ZERO, ZERO)
+        return first, first
     share = diffuse_seen / diffuse_all if diffuse_all > ZERO else ZERO
     return share, (glossy_seen / glossy_all if glossy_all > ZERO else share)
 

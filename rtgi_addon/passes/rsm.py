@@ -18,31 +18,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.frame import Frame, LightKind, LightView
+from ..core.frame import Frame, Light, LightKind, LightView
 from ..core.techniques import RsmParams
 from ..kernels.brdf import albedo_table
-from ..kernels.clusters import ROWS, cluster_texels, fill_texels
+from ..kernels.clusters import DIFFUSE, GLOSSY, ROWS, cluster_texels, fill_texels
 from ..kernels.gather import gather_visible
 from ..kernels.vec3 import f32, vector
 from ..kernels.vpl import gather_all, gather_polar, thin_texels
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_in_tiles, gather_on_lattice
 
-RAY_OFFSET = 2e-5           # of the scene's size: both ends of a shadow ray are lifted off their surface by it
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
-def _reflecting(view: LightView, use_glossy: bool) -> np.ndarray:
+def _reflecting(view: LightView, light: Light, use_glossy: bool) -> np.ndarray:
     """(H, W) bool: texels that send light back."""
     g = view.gbuffer
-    colour = g.albedo + g.specular if use_glossy else g.albedo
+    colour = light.diffuse_factor * g.albedo
+    if use_glossy:
+        colour = colour + light.glossy_factor * g.specular
     return np.einsum("hwc,hwc->hw", view.incident_flux, colour) > 0
 
 
 def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
     """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture."""
-    reflecting = [_reflecting(view, use_glossy) for view in frame.views]
+    reflecting = [_reflecting(view, frame.lights[view.light_index], use_glossy) for view in frame.views]
     table = np.empty((ROWS, sum(int(np.count_nonzero(r)) for r in reflecting)), np.float32)
     offset = 0
     for view, reflects in zip(frame.views, reflecting, strict=True):
@@ -50,7 +51,12 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
         fill_texels(table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo, g.specular,
                     g.roughness, view.incident_flux, vector(light.position_ws), vector(-light.direction_ws),
                     light.kind is LightKind.SUN, albedo_table(frame.keeps_energy), use_glossy)
-        offset += int(count.sum())
+        # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
+        mine = slice(offset, offset + int(count.sum()))
+        for row, factor in ((DIFFUSE, light.diffuse_factor), (GLOSSY, light.glossy_factor)):
+            if factor != 1:
+                table[row:row + 3, mine] *= np.float32(factor)
+        offset = mine.stop
     return table
 
 
@@ -64,7 +70,7 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
     context.checkpoint("Cluster lit texels", 0.0)
     clusters = cluster_texels(table, params.clusters, frame.scale_m)
     bvh = context.bvh(frame.geometry)
-    offset_m, eps2 = f32(RAY_OFFSET * frame.scale_m), f32(MIN_DISTANCE2 * frame.scale_m**2)
+    offset_m, eps2 = f32(frame.ray_offset_m), f32(MIN_DISTANCE2 * frame.scale_m**2)
 
     def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
         return gather_visible(position, normal, ids, clusters, eps2, bvh, params.rays, offset_m, salt)
@@ -96,7 +102,7 @@ def _polar_from(frame: Frame, view: LightView, params: RsmParams, context: Conte
     # behind a spot there is no place in its map: such a pixel takes the map's centre
     column = np.nan_to_num(column, nan=view.camera.width_px / 2).astype(np.float32)
     row = np.nan_to_num(row, nan=view.camera.height_px / 2).astype(np.float32)
-    reflected = view.incident_flux * g.albedo
+    reflected = view.incident_flux * g.albedo * np.float32(frame.lights[view.light_index].diffuse_factor)
     radius_px = params.radius * view.camera.width_px
     is_point = frame.lights[view.light_index].kind is LightKind.POINT
     wraps = is_point and view.camera.right - view.camera.left > 2 * np.pi - 1e-3

@@ -13,7 +13,6 @@ from .lattice import gather_on_lattice
 
 MAP_SIZE = (64, 128)        # rows and columns of the gathered map: 2.8 degrees, finer than a cosine needs
 MAP_SHARE = 0.5             # share of the rays drawn by the map's brightness, when it is not constant
-RAY_OFFSET = 2e-5           # of the scene's size
 
 
 def shrink_map(radiance: np.ndarray, size: tuple[int, int] = MAP_SIZE) -> np.ndarray:
@@ -80,13 +79,13 @@ def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int
         return PassResult({Transport.WORLD_DIFFUSE: np.zeros_like(g.albedo)}, np.ones(g.shape, np.float32))
     sky = World(shrink_map(frame.world.radiance))
     cdf, density = sky_distribution(sky.radiance)
-    bvh, scale = context.bvh(frame.geometry), frame.scale_m
+    bvh = context.bvh(frame.geometry)
     low, high = frame.geometry.bounds_ws
     reach = float(np.linalg.norm(high - low)) + float(np.abs(g.position_ws).max(initial=0)) * 2 + 1.0
 
     def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
         return gather_sky(position, normal, ids, sky.radiance, cdf, density, bvh, params.rays,
-                          f32(0.0 if sky.is_constant else MAP_SHARE), f32(RAY_OFFSET * scale), f32(reach), salt)
+                          f32(0.0 if sky.is_constant else MAP_SHARE), f32(frame.ray_offset_m), f32(reach), salt)
 
     irradiance, diagnostics = gather_on_lattice(frame, gather, params.lattice_px, 2 * seed + 3, context, "World light")
     return PassResult({Transport.WORLD_DIFFUSE: irradiance}, _visibility(irradiance, sky, g.normal_ws, g.mask), diagnostics)

@@ -5,8 +5,9 @@ import gc
 import numpy as np
 import pytest
 
+from rtgi_addon.core.frame import Cutouts
 from rtgi_addon.kernels import embree
-from rtgi_addon.kernels.bvh import STACK, build_bvh, closest_hit, is_occluded
+from rtgi_addon.kernels.bvh import STACK, build_bvh, closest_hit, is_occluded, visibility
 from rtgi_addon.kernels.jit import device_jit
 from rtgi_addon.kernels.vec3 import load
 
@@ -20,6 +21,14 @@ def _trace(bvh, origin, direction, reach):
         out[i, 0], hit[i, 0], out[i, 1], out[i, 2] = closest_hit(bvh, stack, o, d, reach)
         hit[i, 1] = is_occluded(bvh, stack, o, d)
     return out, hit
+
+
+@device_jit
+def _shares(bvh, origin, direction):
+    out, stack = np.empty(len(origin), np.float32), np.empty(STACK, np.int32)
+    for i in range(len(origin)):
+        out[i] = visibility(bvh, stack, load(origin, i), load(direction, i))
+    return out
 
 
 @pytest.fixture
@@ -52,6 +61,19 @@ def test_both_give_the_same_place_on_the_triangle(both):
     # two float32 tests of a triangle seen at a grazing angle agree to a few thousand ulps
     np.testing.assert_allclose(embree_out[met], own_out[met], atol=2e-3)
     assert met.sum() > 0.99 * (own_hit[:, 0] >= 0).sum()
+
+
+def test_both_let_the_same_light_through_cutouts(bpy_session, rng):
+    corners = (rng.uniform(-1, 1, (60, 1, 3)) + rng.normal(0, 0.8, (60, 3, 3))).astype(np.float32)
+    row = np.where(np.arange(60) % 3 == 0, -1, np.cumsum(np.arange(60) % 3 != 0) - 1).astype(np.int32)
+    cutouts = Cutouts(row, rng.uniform(0, 2, (40, 3, 2)).astype(np.float32), np.ones(40, np.float32), np.zeros(40, bool),
+                      np.tile(np.int32([0, 4, 4]), (40, 1)), rng.integers(0, 256, 16).astype(np.uint8))
+    origin, direction = (rng.normal(0, 2, (2000, 3)).astype(np.float32) for _ in range(2))
+    shares = [_shares(build_bvh(corners, cutouts, use_embree), origin, direction) for use_embree in (True, False)]
+    # a ray in a thousand may pass so near to an edge that the two tests of a triangle round differently
+    assert (np.abs(shares[0] - shares[1]) > 1e-3).sum() <= 2
+    for kind in (shares[0] == 0, shares[0] == 1, (shares[0] > 0) & (shares[0] < 1)):
+        assert kind.sum() > 50                   # rays of every fate
 
 
 def test_no_triangles_meet_no_ray(bpy_session):

@@ -274,3 +274,19 @@ def test_background_stays_black(room, method):
     frame: Frame = dataclasses.replace(room, gbuffer=dataclasses.replace(room.gbuffer, depth=depth))
     image = render(frame, method)
     assert not image[:5].any() and image[5:].any()
+
+
+@pytest.mark.parametrize(("factor", "rows", "others"), [("diffuse_factor", slice(6, 9), slice(12, 15)),
+                                                        ("glossy_factor", slice(12, 15), slice(6, 9))])
+def test_influence_of_a_lamp_scales_its_own_lobe_of_the_texels_only(room, factor, rows, others):
+    half = dataclasses.replace(room, lights=tuple(dataclasses.replace(light, **{factor: 0.5}) for light in room.lights))
+    whole, less = texel_table(room), texel_table(half)
+    assert whole[rows].any() and whole[others].any()
+    np.testing.assert_array_equal(less[rows], np.float32(0.5) * whole[rows])
+    np.testing.assert_array_equal(less[others], whole[others])
+
+
+def test_texels_that_a_lamp_has_no_influence_on_are_left_out(room):
+    none = dataclasses.replace(room, lights=tuple(dataclasses.replace(light, diffuse_factor=0.0, glossy_factor=0.0)
+                                                  for light in room.lights))
+    assert texel_table(none).shape[1] == 0

@@ -16,7 +16,7 @@ from rtgi_addon.kernels.clusters import cluster_texels
 from rtgi_addon.kernels.gather import gather_visible
 from rtgi_addon.kernels.sampling import r2_sequence, uniform
 from rtgi_addon.passes.base import Context, Transport
-from rtgi_addon.passes.rsm import MIN_DISTANCE2, RAY_OFFSET, compute_rsm, texel_table
+from rtgi_addon.passes.rsm import MIN_DISTANCE2, compute_rsm, texel_table
 from tests.oracle import rsm_oracle
 
 FLOAT32 = 2e-5          # hundreds of float32 roundings in a sum of positive terms
@@ -153,7 +153,7 @@ def room():
     table = texel_table(frame)
     g = frame.gbuffer
     position, normal = g.position_ws[g.mask], g.normal_ws[g.mask]
-    eps2, offset = MIN_DISTANCE2 * frame.scale_m**2, RAY_OFFSET * frame.scale_m
+    eps2, offset = MIN_DISTANCE2 * frame.scale_m**2, frame.ray_offset_m
     exact = rsm_oracle.irradiance(position, normal, table, eps2, frame.geometry.corners_ws, offset)
     return frame, table, position, normal, eps2, offset, exact
 

@@ -86,3 +86,45 @@ def test_longitude_grows_towards_x_and_latitude_towards_y(longitude, latitude, e
 def test_vectors_without_length_take_the_fallback():
     got = normalized(np.array([[0.0, 0, 0], [0, 3, 4], [np.nan, 0, 0]]))
     np.testing.assert_allclose(got, [[0, 0, 1], [0, 0.6, 0.8], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("projection", Projection)
+@pytest.mark.parametrize("size", [0.1, 2.0, 8.0])
+def test_boxes_hold_every_point_of_the_hulls_that_the_view_sees(projection, size, rng):
+    eye = camera(projection, turned())
+    corners = rng.uniform(-6, 6, (200, 1, 3)) + rng.uniform(-size, size, (200, 3, 3))
+    box, nearest = eye.boxes_around(corners)
+    weight = rng.dirichlet(np.ones(3), 400)
+    column, row, depth = eye.project(np.einsum("pc,ncx->npx", weight, corners))
+    if projection is Projection.EQUIRECTANGULAR:        # a box may go on beyond a full turn
+        left, right = box[:, :1] - 1e-6, box[:, 1:2] + 1e-6
+        held = [(column + turn >= left) & (column + turn <= right) for turn in (-13, 0, 13)]
+        held = np.any(held, axis=0)
+    else:
+        held = (column >= box[:, :1] - 1e-6) & (column <= box[:, 1:2] + 1e-6)
+    held &= (row >= box[:, 2:3] - 1e-6) & (row <= box[:, 3:] + 1e-6)
+    inside = (depth > 0) & (column >= 0) & (column < 13) & (row >= 0) & (row < 9)
+    assert inside.any() and held[inside].all()
+    assert (depth >= nearest[:, None] - 1e-9)[inside].all()
+
+
+@pytest.mark.parametrize("projection", [Projection.PERSPECTIVE, Projection.ORTHOGRAPHIC])
+def test_boxes_of_flat_views_are_tight(projection):
+    eye = camera(projection)
+    corners = np.array([[[0.1, 0.2, -2.0], [0.5, -0.3, -1.0], [0.2, 0.1, -4.0]]])
+    column, row, depth = eye.project(corners[0])
+    box, nearest = eye.boxes_around(corners)
+    np.testing.assert_allclose(box[0], [column.min(), column.max(), row.min(), row.max()])
+    assert nearest[0] == depth.min()
+
+
+def test_a_hull_behind_a_perspective_view_has_no_box():
+    box, _ = camera(Projection.PERSPECTIVE).boxes_around(np.array([[[0, 0, 1.0], [1, 0, 2], [0, 1, 3]]]))
+    assert box[0, 1] < box[0, 0] and box[0, 3] < box[0, 2]
+
+
+@pytest.mark.parametrize("projection", [Projection.PERSPECTIVE, Projection.EQUIRECTANGULAR])
+def test_a_hull_around_the_viewer_takes_the_whole_image(projection):
+    corners = np.array([[[-1.0, -1, 1], [1, -1, 1], [0, 3, -3]]])
+    box, _ = camera(projection).boxes_around(corners)
+    np.testing.assert_array_equal(box, [[0, 13, 0, 9]])
