@@ -1,0 +1,156 @@
+"""The scene in voxels: a grid where the frame's light goes, and the surfaces in it, made from the triangles.
+
+`kernels.voxels` tells what a voxel keeps. Here the grid is chosen: a box around what the camera sees and what rays from
+there meet, so that a ground plane of ten kilometres does not take the cells away from the chair on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.frame import Frame, Geometry
+from ..kernels.pilot import cast_rays
+from ..kernels.vec3 import f32
+from ..kernels.voxels import SUMS, Voxels, fill_coverage, finish_voxels, list_entries, slice_spans, visit_slices
+from .base import Context
+
+PILOT_POINTS, PILOT_RAYS = 2048, 8    # 16384 hits place each border of the box within a few of them
+TRIM = 0.005                # share of the points that may lie outside the box at each of its borders
+ROOM = 0.05                 # of the box's longest edge, added at each border for what the few pilot rays missed
+MARGIN_CELLS = 1.5          # cells around the points: what stands at the box's border lies in the middle of a cell
+BATCH_ENTRIES = 1 << 23     # pairs of slice and triangle that are listed at a time: 32 MB
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cubic cells over a box: `origin_ws` (3,) float64 m is its lowest corner, `shape` the number of cells along x, y, z."""
+
+    origin_ws: np.ndarray
+    cell_m: float
+    shape: tuple[int, int, int]
+
+    def to_cells(self, position_ws: np.ndarray) -> np.ndarray:
+        """Points (..., 3) m to cells from the lowest corner, float32."""
+        return ((position_ws - self.origin_ws) / self.cell_m).astype(np.float32)
+
+
+def grid_around(low_ws: np.ndarray, high_ws: np.ndarray, resolution: int) -> Grid:
+    """Grid over a box with at most `resolution` cells along its longest edge; the box's borders lie in cell middles.
+
+    A box without extent becomes one of a few cells of a size that float32 can tell apart there.
+    """
+    low, high = np.asarray(low_ws, np.float64), np.asarray(high_ws, np.float64)
+    longest = float((high - low).max())
+    least = 1e-5 * float(max(np.abs(low).max(), np.abs(high).max(), 1e-30))
+    cell = max(longest / max(resolution - 2 * MARGIN_CELLS, 1.0), least)
+    shape = np.minimum(np.ceil((high - low) / cell - 1e-6).astype(int) + round(2 * MARGIN_CELLS), resolution)
+    shape = np.maximum(shape, round(2 * MARGIN_CELLS))
+    middle = (low + high) / 2
+    return Grid(middle - shape * cell / 2, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+def reached_box(frame: Frame, context: Context, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner (3,) of what matters to the frame: points seen and what cosine rays from them meet.
+
+    A share of `TRIM` of the points is cut off at each border, some room added, and the box ends where the triangles do.
+    """
+    g = frame.gbuffer
+    low_all, high_all = _finite_bounds(frame.geometry)
+    surface = np.flatnonzero(g.mask)
+    if not len(surface):
+        return low_all, high_all
+    chosen = surface[np.linspace(0, len(surface) - 1, min(PILOT_POINTS, len(surface))).astype(np.int64)]
+    position, normal = g.position_ws.reshape(-1, 3)[chosen], g.normal_ws.reshape(-1, 3)[chosen]
+    rng = np.random.default_rng(seed)
+    spread = rng.normal(size=(len(chosen) * PILOT_RAYS, 3))
+    spread /= np.linalg.norm(spread, axis=1, keepdims=True)
+    start = np.repeat(position, PILOT_RAYS, axis=0)
+    # a normal plus a point of the unit sphere has the density of the cosine
+    direction = np.ascontiguousarray(np.repeat(normal, PILOT_RAYS, axis=0) + spread, np.float32)
+    reach = float(np.linalg.norm(high_all - low_all)) * 2 + 1e-30
+    length = np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-6)
+    distance, slot, _, _ = cast_rays(start, (direction / length).astype(np.float32), context.bvh(frame.geometry),
+                                     f32(1e-4 * frame.scale_m), f32(reach))
+    hit = slot >= 0
+    points = np.concatenate([position, start[hit] + distance[hit, None] * (direction / length)[hit]])
+    low, high = np.quantile(points.astype(np.float64), [TRIM, 1 - TRIM], axis=0)
+    room = ROOM * float((high - low).max())
+    return np.clip(low - room, low_all, high_all), np.clip(high + room, low_all, high_all)
+
+
+def _finite_bounds(geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds (3,) float64 of the triangles whose coordinates are all finite; zeros where there is none."""
+    corners = geometry.corners_ws
+    finite = np.isfinite(corners).all((1, 2))
+    if not finite.any():
+        return np.zeros(3), np.zeros(3)
+    flat = (corners if finite.all() else corners[finite]).reshape(-1, 3)
+    return flat.min(0).astype(np.float64), flat.max(0).astype(np.float64)
+
+
+def grid_of_frame(frame: Frame, context: Context, resolution: int) -> Grid:
+    """The grid of a frame: `resolution` cells along the longest edge of what its light reaches."""
+    return grid_around(*reached_box(frame, context), resolution)
+
+
+def voxelise(geometry: Geometry, grid: Grid) -> Voxels:
+    """Surface voxels of the triangles in `grid`.
+
+    Every cell that a triangle meets with some area holds it (conservative and exact); triangles without area, outside the
+    grid or with a coordinate that is not finite are left out. Holds exactly: the same bits on any number of threads; a
+    quarter turn of triangles and grid about an axis permutes the voxels; so does not the order of the triangles more than
+    rounding.
+    """
+    shape = tuple(int(n) for n in grid.shape)
+    corners, origin, rcp_cell = geometry.corners_ws, np.asarray(grid.origin_ws, np.float64), 1.0 / grid.cell_m
+    along = int(np.argmax(shape))
+    order = np.array([along, *(a for a in range(3) if a != along)])
+    spans = slice_spans(corners, origin, rcp_cell, np.array(shape), along)
+    slices = shape[along]
+    # slices next to each other are alike, and a thread takes a contiguous run of turns
+    turn = np.argsort(np.arange(slices) * 0.6180339887 % 1.0, kind="stable")
+    is_occupied = np.zeros(shape, np.bool_)
+    index = np.full(shape, -1, np.int32)
+
+    def visit(sums: np.ndarray, masks: np.ndarray, is_marking: bool) -> None:
+        for starts, entries in _batches(spans, slices):
+            visit_slices(corners, geometry.albedo, geometry.emission, origin, rcp_cell, order, starts, entries, turn,
+                         is_occupied, index, sums, masks, is_marking)
+
+    visit(np.zeros((0, 3, SUMS), np.float32), np.zeros((0, 3), np.uint16), True)
+    cells = np.argwhere(is_occupied).astype(np.int32)
+    index[is_occupied] = np.arange(len(cells), dtype=np.int32)
+    sums, masks = np.zeros((len(cells), 3, SUMS), np.float32), np.zeros((len(cells), 3), np.uint16)
+    visit(sums, masks, False)
+    planes, albedo, emission = (np.zeros((len(cells), 3, n), np.float32) for n in (4, 3, 3))
+    finish_voxels(sums, masks, planes, albedo, emission)
+    return Voxels(index, cells, planes, masks, albedo, emission)
+
+
+def _batches(spans: np.ndarray, slices: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(starts, entries) of `list_entries` for runs of triangles that together meet at most `BATCH_ENTRIES` slices or so.
+
+    A million triangles that each cross the whole grid would otherwise be listed a hundred million times at once.
+    """
+    length = np.maximum(spans[:, 1].astype(np.int64) - spans[:, 0] + 1, 0)
+    batch = np.cumsum(length) // BATCH_ENTRIES
+    edges = [0, *(np.flatnonzero(np.diff(batch)) + 1).tolist(), len(spans)]
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        part, many = spans[first:last], length[first:last] > 0
+        count = (np.bincount(part[many, 0], minlength=slices + 1) - np.bincount(part[many, 1] + 1, minlength=slices + 1))
+        starts = np.concatenate([[0], np.cumsum(np.cumsum(count)[:slices])]).astype(np.int64)
+        yield starts, list_entries(part, first, starts)
+
+
+def coverage_of(voxels: Voxels) -> np.ndarray:
+    """(nx, ny, nz, 3) float32 in [0, 1]: the share of each cell's face that surfaces in it hide, seen along x, y, z.
+
+    A wall that fills a face has 1 along its normal. Coverages of the cells that one surface crosses along an axis add up to
+    that of the surface (they are parts of it side by side), so light along the axis is held back by their sum, at most 1.
+    """
+    out = np.zeros((*voxels.index.shape, 3), np.float32)
+    fill_coverage(voxels.cells, voxels.planes, voxels.masks, out)
+    return out
