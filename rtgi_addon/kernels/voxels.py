@@ -5,9 +5,9 @@ holds exactly those triangles that meet it, with the area that lies in it. A sli
 takes the triangles in their order: the same bits come out on any number of threads.
 
 In a voxel, triangles are sorted by the axis that their normal is nearest to, into three slots. A slot keeps the mean plane
-of its triangles, their mean albedo and emission, and a mask of 4x4 points that tells which part of the voxel's face they
-cover, seen along the axis. A flat wall is therefore kept exactly, wherever it stands in its voxels; two walls that meet
-in a voxel keep their own planes; and coverage of adjacent voxels adds up to that of the surface.
+of its triangles, their mean albedo and emission, the box around them, and a mask of 4x4 squares that tells which part of the
+voxel's face they touch, seen along the axis. A flat wall is therefore kept exactly, wherever it stands in its voxels; two
+walls that meet in a voxel keep their own planes and end where they meet; a narrow strip is as wide as it is.
 
 Arithmetic is in float64: a triangle of a ground plane may be a hundred thousand voxels long.
 """
@@ -22,11 +22,12 @@ import numpy as np
 from .jit import device_jit, pixel_jit, prange
 from .vec3 import f32
 
-MASK_SIDE = 4               # sub-points of a voxel's face along each edge
-FULL = 65535                # a mask with all 16 points
+MASK_SIDE = 4               # squares of a voxel's face along each edge
+FULL = 65535                # a mask with all 16 squares
+QUARTER = f32(1 / MASK_SIDE)
+BOX_STEPS = 255             # steps of a voxel's edge in which the boxes of its slots are kept
 MOST_CORNERS = 12           # a triangle cut by six planes has at most nine
 NO_AREA = 1e-10             # twice the area over the longest edge squared of a triangle that is a line to float32
-TOUCH = 1e-5                # cells: a point this near to a polygon counts as covered, or seams would have holes
 LEAST_AREA = 1e-9           # cells squared: what rounding may leave of a triangle that only touches a cell
 # columns of the running sums of a slot
 S_AREA, S_NORMAL, S_CENTRE, S_ALBEDO, S_EMISSION, SUMS = 0, 1, 4, 7, 10, 13
@@ -39,8 +40,10 @@ class Voxels(NamedTuple):
     cells (V, 3) int32: x, y, z of each voxel.
     planes (V, 3, 4) float32: by slot, the unit normal (its component along the slot's axis is positive) and the offset
     n . p of the mean plane, p counted from the cell's lowest corner.
-    masks (V, 3) uint16: by slot, bit 4 row + column for each of the 4x4 points that the surfaces cover, seen along
+    masks (V, 3) uint16: by slot, bit 4 row + column for each of the 4x4 squares that the surfaces touch, seen along
     the slot's axis; columns along the next axis (x, y, z, x, ..), rows along the one after it; 0 for an empty slot.
+    boxes (V, 3, 6) uint8: by slot, lowest and highest corner of its surfaces in steps of 1 / BOX_STEPS.
+    areas (V, 3) float32: by slot, area of its surfaces in cells squared, surfaces behind each other counted once.
     albedo (V, 3, 3), emission (V, 3, 3) float32: mean of the slot's surfaces, reflectance and W/(m2 sr) of either side.
     """
 
@@ -48,18 +51,10 @@ class Voxels(NamedTuple):
     cells: np.ndarray
     planes: np.ndarray
     masks: np.ndarray
+    boxes: np.ndarray
+    areas: np.ndarray
     albedo: np.ndarray
     emission: np.ndarray
-
-
-@device_jit
-def count_bits(mask):
-    """Number of ones in a 16-bit number."""
-    m = np.int64(mask)
-    m = m - ((m >> 1) & 0x5555)
-    m = (m & 0x3333) + ((m >> 2) & 0x3333)
-    m = (m + (m >> 4)) & 0x0F0F
-    return (m + (m >> 8)) & 0x1F
 
 
 @device_jit
@@ -182,30 +177,30 @@ def _longest2(poly):
 
 @device_jit
 def _mask_of(poly, level, count, u, v, cell_u, cell_v):
-    """Points of the 4x4 raster that a convex polygon covers, seen along the third axis."""
+    """Squares of the 4x4 raster that a convex polygon touches, seen along the third axis."""
     mask = 0
-    bottom, top = _extent(poly, level, count, v)
     for row in range(MASK_SIDE):
-        y = cell_v + (row + 0.5) / MASK_SIDE
-        if y < bottom - TOUCH or y > top + TOUCH or not top > bottom:
-            continue
-        y = min(max(y, bottom), bottom + (top - bottom) * (1 - 1e-12))
+        bottom, top = cell_v + row / MASK_SIDE, cell_v + (row + 1) / MASK_SIDE
         low, high = 1e30, -1e30
         for i in range(count):
             j = i + 1 if i + 1 < count else 0
             p, q = poly[level, i, v], poly[level, j, v]
-            if (p <= y) != (q <= y):
-                x = poly[level, i, u] + (y - p) / (q - p) * (poly[level, j, u] - poly[level, i, u])
-                low, high = min(low, x), max(high, x)
-        for column in range(MASK_SIDE):
-            x = cell_u + (column + 0.5) / MASK_SIDE
-            if low - TOUCH <= x and x <= high + TOUCH:
+            if max(p, q) < bottom or min(p, q) > top:
+                continue
+            slope = (poly[level, j, u] - poly[level, i, u]) / (q - p) if p != q else 0.0
+            one = poly[level, i, u] + (min(max(p, bottom), top) - p) * slope
+            two = poly[level, j, u] + (min(max(q, bottom), top) - q) * slope
+            low, high = min(low, min(one, two)), max(high, max(one, two))
+        if low <= high:
+            first, last = _first_cell((low - cell_u) * MASK_SIDE), _last_cell((low - cell_u) * MASK_SIDE,
+                                                                            (high - cell_u) * MASK_SIDE)
+            for column in range(max(first, 0), min(last, MASK_SIDE - 1) + 1):
                 mask |= 1 << (row * MASK_SIDE + column)
     return mask
 
 
 @device_jit
-def _add_polygon(poly, level, count, corners, albedo, emission, t, n, axis, cell, row, sums, masks):
+def _add_polygon(poly, level, count, albedo, emission, t, n, axis, cell, row, sums, boxes, masks):
     """Add a polygon inside one cell to slot `axis` of voxel `row`; n (3,) is the unit normal with n[axis] > 0."""
     area = 0.0
     cx, cy, cz = 0.0, 0.0, 0.0
@@ -238,18 +233,22 @@ def _add_polygon(poly, level, count, corners, albedo, emission, t, n, axis, cell
         colour = b0 * albedo[t, 0, a] + b1 * albedo[t, 1, a] + b2 * albedo[t, 2, a]
         s[S_ALBEDO + a] += f32(area * colour)
         s[S_EMISSION + a] += f32(area * emission[t, a])
+    for a in range(3):
+        low, high = _extent(poly, level, count, a)
+        boxes[row, axis, a] = min(boxes[row, axis, a], f32(low - cell[a]))
+        boxes[row, axis, a + 3] = max(boxes[row, axis, a + 3], f32(high - cell[a]))
     if masks[row, axis] != FULL:
         masks[row, axis] |= np.uint16(_mask_of(poly, level, count, u, v, np.float64(cell[u]), np.float64(cell[v])))
 
 
 @pixel_jit
-def visit_slices(corners, albedo, emission, origin, rcp_cell, order, starts, entries, turn, is_occupied, index, sums, masks,
-                 is_marking):
+def visit_slices(corners, albedo, emission, origin, rcp_cell, order, starts, entries, turn, is_occupied, index, sums, boxes,
+                 masks, is_marking):
     """Cut the listed triangles along the grid: mark the cells that they meet, or add them to the voxels there.
 
     order (3,): the axis of the slices, then the two within a slice. `turn` (n,) is the order in which slices are taken,
-    spread so that threads share the work. Marking writes `is_occupied` (nx, ny, nz) bool, adding `sums` (V, 3, SUMS) float32
-    and `masks` (V, 3) uint16 by `index`.
+    spread so that threads share the work. Marking writes `is_occupied` (nx, ny, nz) bool, adding `sums` (V, 3, SUMS)
+    and `boxes` (V, 3, 6) float32 and `masks` (V, 3) uint16 by `index`.
     """
     along, across, inner = order[0], order[1], order[2]
     rows, columns = is_occupied.shape[across], is_occupied.shape[inner]
@@ -285,15 +284,32 @@ def visit_slices(corners, albedo, emission, origin, rcp_cell, order, starts, ent
                     in_cell = _between(poly, 2, 4, in_row, inner, np.float64(c))
                     if in_cell >= 3:
                         row = index[cell[0], cell[1], cell[2]]
-                        _add_polygon(poly, 4, in_cell, corners, albedo, emission, t, n, axis, cell, row, sums, masks)
+                        _add_polygon(poly, 4, in_cell, albedo, emission, t, n, axis, cell, row, sums, boxes, masks)
+
+
+@device_jit
+def _touched_share(mask, u0, v0, u1, v1):
+    """Area of a mask's squares inside the rectangle from (u0, v0) to (u1, v1), in faces of the voxel."""
+    share = f32(0)
+    for line in range(MASK_SIDE):
+        bottom, top = max(f32(line) * QUARTER, v0), min(f32(line + 1) * QUARTER, v1)
+        for column in range(MASK_SIDE):
+            if (mask >> (line * MASK_SIDE + column)) & 1:
+                left, right = max(f32(column) * QUARTER, u0), min(f32(column + 1) * QUARTER, u1)
+                share += max(right - left, f32(0)) * max(top - bottom, f32(0))
+    return share
 
 
 @pixel_jit
-def finish_voxels(sums, masks, planes, albedo, emission):
-    """Means of the sums, in place; a slot whose surfaces all miss the raster gets the point nearest to their middle."""
+def finish_voxels(sums, extents, masks, planes, boxes, areas, albedo, emission):
+    """Means of the sums into planes, albedo and emission, extents (V, 3, 6) float32 into boxes and areas, in place.
+
+    The area is that of the triangles, or of the squares that they touch inside their box if that is less: two sheets behind
+    each other count once.
+    """
     for row in prange(sums.shape[0]):
         for axis in range(3):
-            s = sums[row, axis]
+            s, e = sums[row, axis], extents[row, axis]
             area = s[S_AREA]
             if not area > 0:
                 masks[row, axis] = 0
@@ -304,33 +320,28 @@ def finish_voxels(sums, masks, planes, albedo, emission):
             x, y, z = x * inv, y * inv, z * inv
             planes[row, axis, 0], planes[row, axis, 1], planes[row, axis, 2] = x, y, z
             planes[row, axis, 3] = (x * s[S_CENTRE] + y * s[S_CENTRE + 1] + z * s[S_CENTRE + 2]) * rcp
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            touched = _touched_share(np.int64(masks[row, axis]), e[u], e[v], e[u + 3], e[v + 3])
+            areas[row, axis] = min(area, touched / planes[row, axis, axis])
             for a in range(3):
                 albedo[row, axis, a], emission[row, axis, a] = s[S_ALBEDO + a] * rcp, s[S_EMISSION + a] * rcp
-            if masks[row, axis] == 0:
-                u, v = s[S_CENTRE + (axis + 1) % 3] * rcp, s[S_CENTRE + (axis + 2) % 3] * rcp
-                column = min(max(int(u * f32(MASK_SIDE)), 0), MASK_SIDE - 1)
-                line = min(max(int(v * f32(MASK_SIDE)), 0), MASK_SIDE - 1)
-                masks[row, axis] = np.uint16(1 << (line * MASK_SIDE + column))
+                # half a step outwards: a ray may meet the surface on a border of the voxel, give or take rounding
+                low, high = math.floor(e[a] * BOX_STEPS - 0.5), math.ceil(e[a + 3] * BOX_STEPS + 0.5)
+                boxes[row, axis, a], boxes[row, axis, a + 3] = max(int(low), 0), min(int(high), BOX_STEPS)
 
 
 @device_jit
-def axis_coverage(planes, masks, row, axis):
-    """Share in [0, 1] of a voxel's face that its surfaces hide, seen along `axis`.
-
-    A slot that covers the share m of its own face hides m |n_axis| / |n_own| of another one; slots add up, as the walls of
-    a corner do.
-    """
+def axis_coverage(planes, areas, row, axis):
+    """Share in [0, 1] of a voxel's face that its surfaces hide, seen along `axis`; slots add up, as a corner's walls do."""
     total = f32(0)
     for slot in range(3):
-        if masks[row, slot] != 0:
-            total += (f32(count_bits(masks[row, slot])) * f32(1 / 16) * abs(planes[row, slot, axis])
-                      / planes[row, slot, slot])
+        total += areas[row, slot] * abs(planes[row, slot, axis])
     return min(total, f32(1))
 
 
 @pixel_jit
-def fill_coverage(cells, planes, masks, out):
+def fill_coverage(cells, planes, areas, out):
     """Coverage along x, y, z of every voxel into the dense (nx, ny, nz, 3) float32 `out`, in place."""
     for row in prange(cells.shape[0]):
         for axis in range(3):
-            out[cells[row, 0], cells[row, 1], cells[row, 2], axis] = axis_coverage(planes, masks, row, axis)
+            out[cells[row, 0], cells[row, 1], cells[row, 2], axis] = axis_coverage(planes, areas, row, axis)

@@ -14,6 +14,7 @@ import numpy as np
 from ..core.frame import Frame, Geometry
 from ..kernels.pilot import cast_rays
 from ..kernels.vec3 import f32
+from ..kernels.voxel_rays import BRICK, VoxelWalk, fill_bricks
 from ..kernels.voxels import SUMS, Voxels, fill_coverage, finish_voxels, list_entries, slice_spans, visit_slices
 from .base import Context
 
@@ -115,19 +116,21 @@ def voxelise(geometry: Geometry, grid: Grid) -> Voxels:
     is_occupied = np.zeros(shape, np.bool_)
     index = np.full(shape, -1, np.int32)
 
-    def visit(sums: np.ndarray, masks: np.ndarray, is_marking: bool) -> None:
+    def visit(sums: np.ndarray, extents: np.ndarray, masks: np.ndarray, is_marking: bool) -> None:
         for starts, entries in _batches(spans, slices):
             visit_slices(corners, geometry.albedo, geometry.emission, origin, rcp_cell, order, starts, entries, turn,
-                         is_occupied, index, sums, masks, is_marking)
+                         is_occupied, index, sums, extents, masks, is_marking)
 
-    visit(np.zeros((0, 3, SUMS), np.float32), np.zeros((0, 3), np.uint16), True)
+    visit(np.zeros((0, 3, SUMS), np.float32), np.zeros((0, 3, 6), np.float32), np.zeros((0, 3), np.uint16), True)
     cells = np.argwhere(is_occupied).astype(np.int32)
     index[is_occupied] = np.arange(len(cells), dtype=np.int32)
     sums, masks = np.zeros((len(cells), 3, SUMS), np.float32), np.zeros((len(cells), 3), np.uint16)
-    visit(sums, masks, False)
+    extents = np.tile(np.float32([1, 1, 1, 0, 0, 0]), (len(cells), 3, 1))
+    visit(sums, extents, masks, False)
     planes, albedo, emission = (np.zeros((len(cells), 3, n), np.float32) for n in (4, 3, 3))
-    finish_voxels(sums, masks, planes, albedo, emission)
-    return Voxels(index, cells, planes, masks, albedo, emission)
+    boxes, areas = np.zeros((len(cells), 3, 6), np.uint8), np.zeros((len(cells), 3), np.float32)
+    finish_voxels(sums, extents, masks, planes, boxes, areas, albedo, emission)
+    return Voxels(index, cells, planes, masks, boxes, areas, albedo, emission)
 
 
 def _batches(spans: np.ndarray, slices: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -152,5 +155,12 @@ def coverage_of(voxels: Voxels) -> np.ndarray:
     that of the surface (they are parts of it side by side), so light along the axis is held back by their sum, at most 1.
     """
     out = np.zeros((*voxels.index.shape, 3), np.float32)
-    fill_coverage(voxels.cells, voxels.planes, voxels.masks, out)
+    fill_coverage(voxels.cells, voxels.planes, voxels.areas, out)
     return out
+
+
+def walk_of(voxels: Voxels) -> VoxelWalk:
+    """The voxels as rays take them."""
+    bricks = np.zeros([-(-n // BRICK) for n in voxels.index.shape], np.int64)
+    fill_bricks(voxels.cells, bricks)
+    return VoxelWalk(bricks, voxels.index, voxels.planes, voxels.masks, voxels.boxes)

@@ -1,0 +1,260 @@
+"""Rays through surface voxels: an exact walk from cell to cell, and the first surface that a ray meets.
+
+The walk (Amanatides and Woo 1987) leaps over empty bricks of 4x4x4 cells, whose bits fit the cache. In a voxel the ray is
+met with the planes of its slots and the masks on them, so a flat wall blocks where it stands and not where its cells do: a
+ray may start on it and leave without an offset of a cell, and two walls that meet are told apart. Planes of adjacent
+voxels of a curved surface do not join; a ray that is before the one and behind the next has gone through the seam, and is
+stopped there.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .jit import device_jit, pixel_jit, prange
+from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, sub
+from .voxels import BOX_STEPS, MASK_SIDE
+
+BRICK = 4                   # cells along the edge of a brick: 64 bits, and 32 bricks across 128 cells fit the cache
+LIFT = f32(0.01)            # cells that a ray's start is lifted off its surface: above the rounding of float32 positions
+OWN_REACH = f32(1.5)        # cells within which a plane that a ray crosses from behind is the surface that it started on
+SLACK = f32(1e-4)           # cells that a plane's crossing may lie outside its cell by rounding
+SEAM = f32(0.1)             # cells that a seam between two planes may lie outside the boxes of their surfaces
+FAR = f32(1e20)
+
+
+class VoxelWalk(NamedTuple):
+    """What rays need of the voxels; lengths are in cells.
+
+    bricks (bx, by, bz) int64: a bit for each of a brick's 4x4x4 cells, x fastest; index, planes, masks, boxes: as in
+    `kernels.voxels.Voxels`.
+    """
+
+    bricks: np.ndarray
+    index: np.ndarray
+    planes: np.ndarray
+    masks: np.ndarray
+    boxes: np.ndarray
+
+
+@device_jit
+def brick_bit(x, y, z):
+    """Number of a cell's bit in its brick."""
+    return (x & 3) | ((y & 3) << 2) | ((z & 3) << 4)
+
+
+@device_jit
+def fill_bricks(cells, bricks):
+    """Set the bits of occupied cells (V, 3), in place."""
+    for row in range(cells.shape[0]):
+        x, y, z = np.int64(cells[row, 0]), np.int64(cells[row, 1]), np.int64(cells[row, 2])
+        bricks[x >> 2, y >> 2, z >> 2] |= np.int64(1) << brick_bit(x, y, z)
+
+
+@device_jit
+def _reciprocal(x):
+    return ONE / x if abs(x) > f32(1e-12) else (FAR if x >= ZERO else -FAR)
+
+
+@device_jit
+def _plane(planes, row, slot):
+    return Vec3(planes[row, slot, 0], planes[row, slot, 1], planes[row, slot, 2])
+
+
+@device_jit
+def _covers(walk, row, slot, p, slack):
+    """Do a slot's surfaces reach the point p of its plane, in cells from the voxel's lowest corner, give or take `slack`?"""
+    x, y, z, box = p.x, p.y, p.z, walk.boxes
+    step = f32(1 / BOX_STEPS)
+    if (x < f32(box[row, slot, 0]) * step - slack or y < f32(box[row, slot, 1]) * step - slack
+            or z < f32(box[row, slot, 2]) * step - slack or x > f32(box[row, slot, 3]) * step + slack
+            or y > f32(box[row, slot, 4]) * step + slack or z > f32(box[row, slot, 5]) * step + slack):
+        return False
+    u, v = (y, z) if slot == 0 else ((z, x) if slot == 1 else (x, y))
+    column = min(max(int(u * f32(MASK_SIDE)), 0), MASK_SIDE - 1)
+    line = min(max(int(v * f32(MASK_SIDE)), 0), MASK_SIDE - 1)
+    return (np.int64(walk.masks[row, slot]) >> (line * MASK_SIDE + column)) & 1 == 1
+
+
+@device_jit
+def meet_voxel(walk, row, corner, before, before_corner, o, d, n, t_in, t_out):
+    """(t, side) of the first surface of voxel `row` that the ray o + t d meets between t_in and t_out; t is FAR for none.
+
+    `corner` is the voxel's lowest corner; `before` the row of the voxel that the ray has just left, -1 for none. `n` is the
+    normal of the surface that the ray started on; zero for a ray that starts in the open. `side` is 2 slot for the
+    side that the slot's normal points to, 2 slot + 1 for the other.
+    """
+    local = sub(o, corner)
+    best, side = FAR, 0
+    for slot in range(3):
+        if walk.masks[row, slot] == 0:
+            continue
+        plane = _plane(walk.planes, row, slot)
+        height, slope, facing = dot(plane, local) - walk.planes[row, slot, 3], dot(plane, d), dot(plane, n)
+        t = -height / slope if slope != ZERO else FAR
+        if slope * facing > ZERO and t < OWN_REACH:
+            continue                             # crossed from behind: the uneven surface that the ray stands on
+        if t > ZERO and t_in - SLACK <= t and t <= t_out + SLACK:
+            if t < best and _covers(walk, row, slot, along(local, d, t), SLACK):
+                best, side = t, 2 * slot + (1 if slope > ZERO else 0)
+        elif before >= 0 and walk.masks[before, slot] != 0 and t_in > ZERO:
+            other, there = _plane(walk.planes, before, slot), along(sub(o, before_corner), d, t_in)
+            was = dot(other, there) - walk.planes[before, slot, 3]
+            if (was * (height + slope * t_in) < ZERO and dot(other, plane) > f32(0.5) and t_in < best
+                    and (_covers(walk, row, slot, along(local, d, t_in), SEAM) or _covers(walk, before, slot, there, SEAM))):
+                best, side = t_in, 2 * slot + (0 if was > ZERO else 1)
+    return best, side
+
+
+@device_jit
+def first_surface(walk, o, d, n, reach):
+    """(t, row, side) of the first surface along o + t d, for t below `reach`; row is -1 where there is none.
+
+    o in cells from the grid's lowest corner, d a unit vector; n as in `meet_voxel`. Without a hit t is where the ray ended:
+    `reach`, or the border of the grid.
+    """
+    nx, ny, nz = walk.index.shape
+    inv = Vec3(_reciprocal(d.x), _reciprocal(d.y), _reciprocal(d.z))
+    a, b = -o.x * inv.x, (f32(nx) - o.x) * inv.x
+    t, end = min(a, b), max(a, b)
+    a, b = -o.y * inv.y, (f32(ny) - o.y) * inv.y
+    t, end = max(t, min(a, b)), min(end, max(a, b))
+    a, b = -o.z * inv.z, (f32(nz) - o.z) * inv.z
+    t, end = max(max(t, min(a, b)), ZERO), min(min(end, max(a, b)), reach)
+    if not t <= end:
+        return max(end, ZERO), -1, 0
+    bricks = walk.bricks
+    p = along(o, d, t)
+    x, y, z = min(max(int(p.x), 0), nx - 1) >> 2, min(max(int(p.y), 0), ny - 1) >> 2, min(max(int(p.z), 0), nz - 1) >> 2
+    forth_x, forth_y, forth_z = int(d.x >= ZERO), int(d.y >= ZERO), int(d.z >= ZERO)
+    step_x, step_y, step_z = 2 * forth_x - 1, 2 * forth_y - 1, 2 * forth_z - 1
+    cell_x, cell_y, cell_z = abs(inv.x), abs(inv.y), abs(inv.z)
+    next_x = (f32((x + forth_x) * BRICK) - o.x) * inv.x
+    next_y = (f32((y + forth_y) * BRICK) - o.y) * inv.y
+    next_z = (f32((z + forth_z) * BRICK) - o.z) * inv.z
+    before, before_corner = -1, o
+    while True:
+        bits = bricks[x, y, z]
+        if bits == 0:
+            before = -1
+        else:
+            p = along(o, d, t)
+            cx, cy, cz = int(p.x) - BRICK * x, int(p.y) - BRICK * y, int(p.z) - BRICK * z
+            cx, cy, cz = min(max(cx, 0), 3), min(max(cy, 0), 3), min(max(cz, 0), 3)
+            to_x = (f32(BRICK * x + cx + forth_x) - o.x) * inv.x
+            to_y = (f32(BRICK * y + cy + forth_y) - o.y) * inv.y
+            to_z = (f32(BRICK * z + cz + forth_z) - o.z) * inv.z
+            inside = t
+            while True:
+                t_out = min(to_x, min(to_y, to_z))
+                if (bits >> (cx | (cy << 2) | (cz << 4))) & 1:
+                    row = walk.index[BRICK * x + cx, BRICK * y + cy, BRICK * z + cz]
+                    corner = Vec3(f32(BRICK * x + cx), f32(BRICK * y + cy), f32(BRICK * z + cz))
+                    hit, side = meet_voxel(walk, row, corner, before, before_corner, o, d, n, inside, t_out)
+                    if hit < end:
+                        return hit, row, side
+                    before, before_corner = row, corner
+                else:
+                    before = -1
+                inside = max(inside, t_out)
+                if to_x <= to_y and to_x <= to_z:
+                    cx += step_x
+                    to_x += cell_x
+                    if cx & ~3:
+                        break
+                elif to_y <= to_z:
+                    cy += step_y
+                    to_y += cell_y
+                    if cy & ~3:
+                        break
+                else:
+                    cz += step_z
+                    to_z += cell_z
+                    if cz & ~3:
+                        break
+        t = max(t, min(next_x, min(next_y, next_z)))
+        if t >= end:
+            return end, -1, 0
+        if next_x <= next_y and next_x <= next_z:
+            x += step_x
+            next_x += f32(BRICK) * cell_x
+        elif next_y <= next_z:
+            y += step_y
+            next_y += f32(BRICK) * cell_y
+        else:
+            z += step_z
+            next_z += f32(BRICK) * cell_z
+        if x < 0 or y < 0 or z < 0 or x >= bricks.shape[0] or y >= bricks.shape[1] or z >= bricks.shape[2]:
+            return end, -1, 0
+
+
+@pixel_jit
+def cast_voxel_rays(walk, origin, direction, normal, reach):
+    """First surface along (N, 3) rays in cells: (t (N,) float32, row (N,) int32 or -1, side (N,) int32)."""
+    number = origin.shape[0]
+    ts, rows, sides = np.empty(number, np.float32), np.empty(number, np.int32), np.empty(number, np.int32)
+    for i in prange(number):
+        n = load(normal, i)
+        t, row, side = first_surface(walk, along(load(origin, i), n, LIFT), load(direction, i), n, reach)
+        ts[i], rows[i], sides[i] = t, row, side
+    return ts, rows, sides
+
+
+@device_jit
+def _slot_score(walk, row, corner, p, n):
+    """(how well a slot of voxel `row` fits a surface at p of normal n, its side); alignment less distance, -9 for none."""
+    best, side = f32(-9), -1
+    for slot in range(3):
+        if walk.masks[row, slot] != 0:
+            plane = _plane(walk.planes, row, slot)
+            cosine = dot(plane, n)
+            score = abs(cosine) - abs(dot(plane, sub(p, corner)) - walk.planes[row, slot, 3])
+            if score > best:
+                best, side = score, 2 * slot + (0 if cosine >= ZERO else 1)
+    return best, side
+
+
+@pixel_jit
+def find_sides(walk, position, normal, good_score):
+    """(N,) int32: 6 row + side of the surface that each point (N, 3), in cells, with its normal lies on; -1 for none.
+
+    A point whose own cell holds no surface like its own, by rounding or because its object has no triangles there, goes to
+    the best of the 27 cells around.
+    """
+    number = position.shape[0]
+    nx, ny, nz = walk.index.shape
+    out = np.full(number, -1, np.int32)
+    for i in prange(number):
+        p, n = load(position, i), load(normal, i)
+        if not (p.x >= -ONE and p.y >= -ONE and p.z >= -ONE and p.x <= f32(nx + 1) and p.y <= f32(ny + 1)
+                and p.z <= f32(nz + 1)):
+            continue
+        x, y, z = int(math.floor(p.x)), int(math.floor(p.y)), int(math.floor(p.z))
+        best = f32(-8)
+        if 0 <= x < nx and 0 <= y < ny and 0 <= z < nz and walk.index[x, y, z] >= 0:
+            score, side = _slot_score(walk, walk.index[x, y, z], Vec3(f32(x), f32(y), f32(z)), p, n)
+            if score > best:
+                best, out[i] = score, 6 * walk.index[x, y, z] + side
+        if best >= good_score:
+            continue
+        for a in range(max(x - 1, 0), min(x + 2, nx)):
+            for b in range(max(y - 1, 0), min(y + 2, ny)):
+                for c in range(max(z - 1, 0), min(z + 2, nz)):
+                    if walk.index[a, b, c] >= 0:
+                        score, side = _slot_score(walk, walk.index[a, b, c], Vec3(f32(a), f32(b), f32(c)), p, n)
+                        if score > best:
+                            best, out[i] = score, 6 * walk.index[a, b, c] + side
+    return out
+
+
+@device_jit
+def add_flux(flux, sides, out):
+    """Add (N, 3) flux to (V, 6, 3) by side, in the order of the list, on one thread; -1 goes nowhere. In place."""
+    for i in range(sides.shape[0]):
+        if sides[i] >= 0:
+            row, side = sides[i] // 6, sides[i] % 6
+            for a in range(3):
+                out[row, side, a] += flux[i, a]
