@@ -70,6 +70,25 @@ class RsmParams(Params):
         True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing")
 
 
+@dataclass(frozen=True)
+class VxgiParams(Params):
+    """Voxel global illumination: lit voxels, and cones through them."""
+
+    resolution: int = param(
+        128, "Voxels along the longest edge of the part of the scene that the frame's light reaches", low=8, high=512,
+        soft_high=256)
+    lattice_px: int = param(
+        4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
+        low=1, high=16, soft_high=8, unit="px")
+    cones: int = param(
+        32, "Cones from each gather point; fewer are wider", low=1, high=1024, soft_high=256)
+    exact_voxels: int = param(
+        512, "Voxels that a cone is followed as an exact ray; 0 is the method as published", low=0, high=4096,
+        soft_high=512)
+    glossy_voxels: bool = param(
+        True, "Lit voxels send out their glossy lobe too; without it part of the bounce is missing")
+
+
 TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams}
 
 # these run in every render and have no toggle

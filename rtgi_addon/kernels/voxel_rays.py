@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
 from .jit import device_jit, pixel_jit, prange
-from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, sub
+from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, load_column, sub
 from .voxels import BOX_STEPS, MASK_SIDE
 
 BRICK = 4                   # cells along the edge of a brick: 64 bits, and 32 bricks across 128 cells fit the cache
@@ -24,6 +25,7 @@ OWN_REACH = f32(1.5)        # cells within which a plane that a ray crosses from
 SLACK = f32(1e-4)           # cells that a plane's crossing may lie outside its cell by rounding
 SEAM = f32(0.1)             # cells that a seam between two planes may lie outside the boxes of their surfaces
 FAR = f32(1e20)
+LOBE_SUMS = 12
 
 
 class VoxelWalk(NamedTuple):
@@ -218,26 +220,28 @@ def _slot_score(walk, row, corner, p, n):
 
 
 @pixel_jit
-def find_sides(walk, position, normal, good_score):
-    """(N,) int32: 6 row + side of the surface that each point (N, 3), in cells, with its normal lies on; -1 for none.
+def find_sides(walk, table, origin, rcp_cell, good_score):
+    """(N,) int32: 6 row + side of the surface that each texel lies on; -1 for none.
 
-    A point whose own cell holds no surface like its own, by rounding or because its object has no triangles there, goes to
-    the best of the 27 cells around.
+    table: texels as in `kernels.clusters`, positions in metres; origin (3,) float64 m of the grid. A texel whose own cell
+    holds no surface like its own, by rounding or because its object has no triangles there, goes to the best of the 27
+    cells around.
     """
-    number = position.shape[0]
+    number = table.shape[1]
     nx, ny, nz = walk.index.shape
     out = np.full(number, -1, np.int32)
     for i in prange(number):
-        p, n = load(position, i), load(normal, i)
+        p = Vec3(f32((table[POSITION, i] - origin[0]) * rcp_cell), f32((table[POSITION + 1, i] - origin[1]) * rcp_cell),
+                 f32((table[POSITION + 2, i] - origin[2]) * rcp_cell))
+        n = load_column(table, NORMAL, i)
         if not (p.x >= -ONE and p.y >= -ONE and p.z >= -ONE and p.x <= f32(nx + 1) and p.y <= f32(ny + 1)
                 and p.z <= f32(nz + 1)):
             continue
         x, y, z = int(math.floor(p.x)), int(math.floor(p.y)), int(math.floor(p.z))
         best = f32(-8)
         if 0 <= x < nx and 0 <= y < ny and 0 <= z < nz and walk.index[x, y, z] >= 0:
-            score, side = _slot_score(walk, walk.index[x, y, z], Vec3(f32(x), f32(y), f32(z)), p, n)
-            if score > best:
-                best, out[i] = score, 6 * walk.index[x, y, z] + side
+            best, side = _slot_score(walk, walk.index[x, y, z], Vec3(f32(x), f32(y), f32(z)), p, n)
+            out[i] = 6 * walk.index[x, y, z] + side if side >= 0 else -1
         if best >= good_score:
             continue
         for a in range(max(x - 1, 0), min(x + 2, nx)):
@@ -251,10 +255,24 @@ def find_sides(walk, position, normal, good_score):
 
 
 @device_jit
-def add_flux(flux, sides, out):
-    """Add (N, 3) flux to (V, 6, 3) by side, in the order of the list, on one thread; -1 goes nowhere. In place."""
-    for i in range(sides.shape[0]):
-        if sides[i] >= 0:
-            row, side = sides[i] // 6, sides[i] % 6
+def add_texels(table, sides, first, last, diffuse, lobes):
+    """Add the flux of texels first .. last - 1 to their sides, in place, on one thread and in their order.
+
+    diffuse (6 V, 3) float32: Lambertian flux; lobes (6 V, LOBE_SUMS) float32: glossy flux by colour and, weighed by its
+    mean, normal, direction to the light, alpha squared, F0 and 1.
+    """
+    for i in range(first, last):
+        side = sides[i]
+        if side < 0:
+            continue
+        for a in range(3):
+            diffuse[side, a] += table[DIFFUSE + a, i]
+        if table[ALPHA2, i] < NO_LOBE:
+            g = (table[GLOSSY, i] + table[GLOSSY + 1, i] + table[GLOSSY + 2, i]) * f32(1 / 3)
             for a in range(3):
-                out[row, side, a] += flux[i, a]
+                lobes[side, a] += table[GLOSSY + a, i]
+                lobes[side, 3 + a] += g * table[NORMAL + a, i]
+                lobes[side, 6 + a] += g * table[TO_LIGHT + a, i]
+            lobes[side, 9] += g * table[ALPHA2, i]
+            lobes[side, 10] += g * table[F0, i]
+            lobes[side, 11] += g

@@ -26,6 +26,18 @@ BATCH_ENTRIES = 1 << 23     # pairs of slice and triangle that are listed at a t
 
 
 @dataclass(frozen=True)
+class VoxelScene:
+    """Voxels of a frame: the grid, what is in it, and the same for rays."""
+
+    grid: Grid
+    voxels: Voxels
+    walk: VoxelWalk
+
+    def __len__(self) -> int:
+        return len(self.voxels.cells)
+
+
+@dataclass(frozen=True)
 class Grid:
     """Cubic cells over a box: `origin_ws` (3,) float64 m is its lowest corner, `shape` the number of cells along x, y, z."""
 
@@ -164,3 +176,9 @@ def walk_of(voxels: Voxels) -> VoxelWalk:
     bricks = np.zeros([-(-n // BRICK) for n in voxels.index.shape], np.int64)
     fill_bricks(voxels.cells, bricks)
     return VoxelWalk(bricks, voxels.index, voxels.planes, voxels.masks, voxels.boxes)
+
+
+def voxel_scene(geometry: Geometry, grid: Grid) -> VoxelScene:
+    """The triangles in `grid`, ready for rays."""
+    voxels = voxelise(geometry, grid)
+    return VoxelScene(grid, voxels, walk_of(voxels))
