@@ -134,6 +134,9 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
         return "there is no lamp"
     if name == "world" and frame.world.is_black:
         return "the world is black"
-    if name == "rsm" and not any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views):
+    is_lit = any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views)
+    if name == "rsm" and not is_lit:
         return "no lamp lights a surface" if frame.lights else "there is no lamp"
+    if name == "vxgi" and not is_lit and (frame.geometry is None or not frame.geometry.emission.any()):
+        return "no lamp lights a surface, and none shines by itself"
     return None

@@ -72,24 +72,31 @@ class RsmParams(Params):
 
 @dataclass(frozen=True)
 class VxgiParams(Params):
-    """Voxel global illumination: lit voxels, and cones through them."""
+    """Voxel global illumination: lit voxels of the scene, and cones through them."""
 
     resolution: int = param(
-        128, "Voxels along the longest edge of the part of the scene that the frame's light reaches", low=8, high=512,
-        soft_high=256)
+        128, "Voxels along the longest edge of the part of the scene that the picture's light reaches; finer ones take "
+             "memory with the square and follow thin things", low=8, high=512, soft_high=256)
     lattice_px: int = param(
         4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
     cones: int = param(
-        32, "Cones from each gather point; fewer are wider", low=1, high=1024, soft_high=256)
+        32, "Cones from each gather point; noise falls, and time rises, with their number", low=1, high=1024, soft_high=256)
     exact_voxels: int = param(
-        512, "Voxels that a cone is followed as an exact ray; 0 is the method as published", low=0, high=4096,
-        soft_high=512)
+        1024, "Voxels that a cone is followed as an exact ray before it widens; 0 is the method as published, which blurs light "
+              "through walls", low=0, high=1024)
     glossy_voxels: bool = param(
         True, "Lit voxels send out their glossy lobe too; without it part of the bounce is missing")
+    solid: bool = param(
+        False, "Fill closed bodies, so that widened cones do not see light through them; exact rays need it not")
+    world_light: bool = param(
+        False, "Cones that leave the voxels bring the world's light, in place of the rays of World Light")
+    glossy: bool = param(
+        False, "Glossy pixels take a cone around their mirror direction; the only reflections without Screen-Space Reflections")
 
 
-TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams}
+TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams,
+                                          "vxgi": VxgiParams}
 
 # these run in every render and have no toggle
 ALWAYS_ON = ("direct", "world")
@@ -98,6 +105,7 @@ LABELS: dict[str, str] = {
     "direct": "Direct Light",
     "world": "World Light",
     "rsm": "Reflective Shadow Maps",
+    "vxgi": "Voxel Global Illumination",
 }
 
 # a preset decides exactly these; every other parameter is the user's own
@@ -106,16 +114,19 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 8, "rays": 16},
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
+        "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 4, "rays": 32},
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
+        "vxgi": {"resolution": 128, "lattice_px": 4, "cones": 32},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},
         "world": {"lattice_px": 2, "rays": 64},
         "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
+        "vxgi": {"resolution": 256, "lattice_px": 2, "cones": 64},
     },
 }
 

@@ -6,18 +6,20 @@ import math
 
 import numpy as np
 
-from .brdf import ggx_lobe
+from .brdf import INV_PI, ggx_lobe
 from .jit import device_jit, pixel_jit, prange
 from .sampling import cosine_hemisphere, r2_sequence, uniform
-from .sky import sky_texel
-from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, scaled, tangent_frame, to_world
+from .sky import find_first, sky_texel
+from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load, normalized_or, scaled, sub, tangent_frame, to_world
 from .voxel_levels import trace_cone
-from .voxel_rays import LIFT, first_surface
+from .voxel_rays import LIFT, first_surface, mask_covers, slot_box, slot_mask, slot_plane
 
 PI = f32(math.pi)
 CONE_LIFT = f32(1.5)        # cells that a cone without an exact part starts above its surface, out of its own voxels' reach
 LEAST_COSINE = f32(0.05)    # of a direction that leaves a lobe's surface: bounds its radiance at grazing
 HALF_VOXEL = f32(0.5)
+NEAR_TARGET = f32(0.1)      # cells before and behind its target within which an aimed ray may end: seams, rounded boxes
+SIDE_COLUMNS = 5            # of what a side sends: see `seen_radiance`
 # columns of the lobe table
 L_COLOUR, L_NORMAL, L_TO_LIGHT, L_ALPHA2, L_F0, L_LAST, LOBE_COLUMNS = 0, 3, 6, 9, 10, 11, 12
 
@@ -26,8 +28,8 @@ L_COLOUR, L_NORMAL, L_TO_LIGHT, L_ALPHA2, L_F0, L_LAST, LOBE_COLUMNS = 0, 3, 6, 
 def seen_radiance(radiance, lobes, row, side, d):
     """(red, green, blue) W/(m2 sr) that side `side` of voxel `row` sends against a ray along d.
 
-    radiance (V, 6, 4): Lambertian part, and 1 + row of the side's first glossy lobe in `lobes`, 0 for none; a side's lobes
-    follow each other, the last one is marked.
+    radiance (V, 6, SIDE_COLUMNS): Lambertian part, 1 + row of the side's first glossy lobe in `lobes`, 0 for none, and the
+    density per cell squared with which aimed rays choose its points. A side's lobes follow each other, the last one is marked.
     """
     red, green, blue = radiance[row, side, 0], radiance[row, side, 1], radiance[row, side, 2]
     k = int(radiance[row, side, 3]) - 1
@@ -46,7 +48,7 @@ def seen_radiance(radiance, lobes, row, side, d):
 def cone_radiance(walk, levels, radiance, lobes, sky, p, n, d, exact, tangent):
     """(red, green, blue) W/(m2 sr) that arrives at p, in cells, along -d: a ray for `exact` cells, then a cone, then the sky."""
     if exact > ZERO:
-        o, t = along(p, n, LIFT), exact
+        o = along(p, n, LIFT)
         t, row, side = first_surface(walk, o, d, n, exact)
         if row >= 0:
             return seen_radiance(radiance, lobes, row, side, d)
@@ -61,27 +63,86 @@ def cone_radiance(walk, levels, radiance, lobes, sky, p, n, d, exact, tangent):
     return red, green, blue
 
 
+@device_jit
+def _aim(rows, cells, target, u, v, w):
+    """A point in cells on side `target` (6 row + side), even over its surface, from numbers in [0, 1)."""
+    row, slot = target // 6, (target % 6) >> 1
+    plane, offset = slot_plane(rows, row, slot)
+    low, high = slot_box(rows, row, slot)
+    mask = slot_mask(rows, row, slot)
+    x, y, z = ZERO, ZERO, ZERO
+    for attempt in range(4):                     # a mask of one square in a wide box is rare, and its square near enough
+        x, y, z = low.x + (high.x - low.x) * u, low.y + (high.y - low.y) * v, low.z + (high.z - low.z) * w
+        if slot == 0:
+            y, z = low.y + (high.y - low.y) * u, low.z + (high.z - low.z) * v
+            x = (offset - plane.y * y - plane.z * z) / plane.x
+        elif slot == 1:
+            z, x = low.z + (high.z - low.z) * u, low.x + (high.x - low.x) * v
+            y = (offset - plane.z * z - plane.x * x) / plane.y
+        else:
+            x, y = low.x + (high.x - low.x) * u, low.y + (high.y - low.y) * v
+            z = (offset - plane.x * x - plane.y * y) / plane.z
+        if mask_covers(mask, slot, Vec3(x, y, z)):
+            break
+        u, v = (u * f32(7.31) + w) % ONE, (v * f32(5.17) + w) % ONE
+    return Vec3(f32(cells[row, 0]) + min(max(x, ZERO), ONE), f32(cells[row, 1]) + min(max(y, ZERO), ONE),
+                f32(cells[row, 2]) + min(max(z, ZERO), ONE))
+
+
 @pixel_jit
-def gather_voxels(position, normal, ids, walk, levels, radiance, lobes, sky, cones, exact, seed):
+def gather_voxels(position, normal, turn, walk, cells, levels, radiance, lobes, sky, targets, cdf, cones, aimed, exact, seed):
     """Irradiance from lit voxels at points (M, 3), in cells, as (M, 5) float32.
 
     Columns: irradiance by colour, W/m2; 1, since there is no unshadowed light to compare it with; variance of the mean over
-    the colours. The cones share the hemisphere by cosine, each as wide as its share, and are turned from point to point.
+    the colours. The cones share the hemisphere by cosine, each as wide as its share. `turn` (M,) tells which run of
+    one low-discrepancy sequence a point takes: neighbours take runs that complement each other. `aimed` of the `cones` rays go
+    to the sides `targets` (S,), drawn by the running sum `cdf`; both sorts are weighed by the balance heuristic (Veach
+    1997, Eq. 9.8), by the density of the points that they find.
     """
     number = position.shape[0]
     out = np.zeros((number, 5), np.float32)
-    weight = PI / f32(cones)
+    by_cosine = f32(cones - aimed)
     narrow = max(ONE - ONE / f32(cones), f32(0.5))          # cosine of the half angle of an even share of the hemisphere
     tangent = math.sqrt(ONE - narrow * narrow) / narrow
+    shift_u, shift_v, shift_w = uniform(0, seed, 0), uniform(0, seed, 1), uniform(0, seed, 2)
+    rows = walk.rows
     for m in prange(number):
         p, n = load(position, m), load(normal, m)
+        if not math.isfinite(p.x + p.y + p.z):
+            continue
         u_axis, v_axis = tangent_frame(n)
-        shift_u, shift_v = uniform(ids[m], seed, 0), uniform(ids[m], seed, 1)
         red, green, blue, squares = ZERO, ZERO, ZERO, ZERO
         for j in range(cones):
-            u, v = r2_sequence(j, shift_u, shift_v)
-            d = to_world(cosine_hemisphere(u, v), u_axis, v_axis, n)
-            r, g, b = cone_radiance(walk, levels, radiance, lobes, sky, p, n, d, exact, tangent)
+            u, v = r2_sequence(turn[m] * cones + j, shift_u, shift_v)
+            weight = PI / f32(cones)
+            if j >= aimed:
+                d = to_world(cosine_hemisphere(u, v), u_axis, v_axis, n)
+                if aimed == 0:
+                    r, g, b = cone_radiance(walk, levels, radiance, lobes, sky, p, n, d, exact, tangent)
+                else:
+                    t, row, side = first_surface(walk, along(p, n, LIFT), d, n, exact)
+                    if row < 0:
+                        continue
+                    r, g, b = seen_radiance(radiance, lobes, row, side, d)
+                    weight = _balanced(rows, radiance, row, side, d, n, t, by_cosine, f32(aimed))
+            else:
+                # stratified over the targets, in an order of its own for each point
+                share = (f32(j) + (shift_w + f32(turn[m]) * f32(0.6180339887)) % ONE) / f32(aimed)
+                target = np.int64(targets[find_first(cdf, share)])
+                o = along(p, n, LIFT)
+                goal = sub(_aim(rows, cells, target, u, v, (u + v) * HALF_VOXEL), o)
+                distance = length(goal)
+                if not distance > f32(1e-4) or dot(goal, n) <= ZERO:
+                    continue
+                d = scaled(goal, ONE / distance)
+                plane, _ = slot_plane(rows, target // 6, (target % 6) >> 1)
+                if (dot(plane, d) > ZERO) != ((target & 1) == 1):
+                    continue                     # its other side
+                t, row, side = first_surface(walk, o, d, n, distance + NEAR_TARGET)
+                if row < 0 or t < distance - NEAR_TARGET:
+                    continue
+                r, g, b = seen_radiance(radiance, lobes, row, side, d)
+                weight = _balanced(rows, radiance, row, side, d, n, t, by_cosine, f32(aimed))
             red, green, blue = red + weight * r, green + weight * g, blue + weight * b
             squares += (weight * (r + g + b)) ** 2
         out[m, 0], out[m, 1], out[m, 2], out[m, 3] = red, green, blue, ONE
@@ -89,13 +150,35 @@ def gather_voxels(position, normal, ids, walk, levels, radiance, lobes, sky, con
     return out
 
 
-@pixel_jit
-def gather_reflections(position, normal, direction, tangent, walk, levels, radiance, lobes, sky, out):
-    """Radiance (M, 3) W/(m2 sr) that one cone along each reflected `direction` (M, 3) brings, in place.
+@device_jit
+def _balanced(rows, radiance, row, side, d, n, t, by_cosine, aimed):
+    """Cosine over the density with which `by_cosine` cosine rays and `aimed` aimed ones find direction d, hit at distance t."""
+    plane, _ = slot_plane(rows, row, side >> 1)
+    cosine = dot(d, n)
+    density = by_cosine * cosine * INV_PI
+    density += aimed * radiance[row, side, 4] * t * t / max(abs(dot(plane, d)), f32(1e-4))
+    return cosine / max(density, f32(1e-20))
 
-    `tangent` (M,) is that of the cone's half angle: it is an exact ray while it is narrower than a voxel.
+
+@pixel_jit
+def gather_reflections(position, normal, to_viewer, roughness, walk, levels, radiance, lobes, sky, spread):
+    """(M, 3) float32 radiance W/(m2 sr) that one cone brings to each point (M, 3), in cells, for its glossy lobe.
+
+    to_viewer (M, 3) unit vectors, roughness (M,). The cone follows the lobe's middle, which leans towards the normal as
+    roughness grows (Lagarde and de Rousiers 2014, Listing 21), and its half angle has the tangent `spread` times GGX's
+    alpha. It is an exact ray while it is narrower than a voxel.
     """
+    out = np.zeros((position.shape[0], 3), np.float32)
     for m in prange(position.shape[0]):
-        exact = HALF_VOXEL / max(tangent[m], f32(1e-4))
-        out[m, 0], out[m, 1], out[m, 2] = cone_radiance(walk, levels, radiance, lobes, sky, load(position, m),
-                                                        load(normal, m), load(direction, m), exact, tangent[m])
+        p, n, v = load(position, m), load(normal, m), load(to_viewer, m)
+        if not math.isfinite(p.x + p.y + p.z):
+            continue
+        alpha = roughness[m] * roughness[m]
+        mirror = sub(scaled(n, f32(2) * dot(n, v)), v)
+        lean = (ONE - alpha) * (math.sqrt(max(ONE - alpha, ZERO)) + alpha)
+        d = normalized_or(along(scaled(n, ONE - lean), mirror, lean), n)
+        tangent = max(spread * alpha, f32(1e-4))
+        if dot(d, n) > ZERO:
+            out[m, 0], out[m, 1], out[m, 2] = cone_radiance(walk, levels, radiance, lobes, sky, p, n, d, HALF_VOXEL / tangent,
+                                                            tangent)
+    return out

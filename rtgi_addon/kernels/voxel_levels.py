@@ -21,6 +21,7 @@ from .vec3 import ONE, ZERO, along, f32
 from .voxels import axis_coverage
 
 STEP = f32(0.5)             # of a level's cell: the samples of a cone; results do not depend on it, up to interpolation
+CELLS_ACROSS = f32(2)       # of the level that a cone reads: interpolated cells have half of a disk's spread at this diameter
 HALF = f32(0.5)
 OPAQUE = f32(0.999)         # coverage at which a cone ends
 
@@ -152,8 +153,8 @@ def trace_cone(levels, o, d, start, tangent, reach):
     while t < reach and cover < OPAQUE:
         diameter = f32(2) * t * tangent
         level = 0
-        # the level whose cells are nearest to the diameter in their logarithm
-        while level < top and diameter > f32(1.41421356) * f32(1 << level):
+        # the level whose cells times CELLS_ACROSS are nearest to the diameter in their logarithm
+        while level < top and diameter > f32(1.41421356) * CELLS_ACROSS * f32(1 << level):
             level += 1
         size = f32(1 << level)
         step = STEP * size
@@ -170,3 +171,37 @@ def trace_cone(levels, o, d, start, tangent, reach):
             cover = min(cover + a, ONE)
         t += step
     return red, green, blue, ONE - cover
+
+
+@device_jit
+def flood(is_blocked, seeds):
+    """(nx, ny, nz) bool: cells that six-neighbour steps through open cells reach from the border or from `seeds` (S, 3)."""
+    nx, ny, nz = is_blocked.shape
+    reached = np.zeros((nx, ny, nz), np.bool_)
+    stack = np.empty((nx * ny * nz + 1, 3), np.int32)
+    depth = 0
+    for i in range(seeds.shape[0]):
+        x, y, z = seeds[i, 0], seeds[i, 1], seeds[i, 2]
+        if 0 <= x < nx and 0 <= y < ny and 0 <= z < nz and not is_blocked[x, y, z] and not reached[x, y, z]:
+            reached[x, y, z] = True
+            stack[depth, 0], stack[depth, 1], stack[depth, 2] = x, y, z
+            depth += 1
+    for x in range(nx):
+        for y in range(ny):
+            for z in range(nz):
+                is_border = x == 0 or y == 0 or z == 0 or x == nx - 1 or y == ny - 1 or z == nz - 1
+                if is_border and not is_blocked[x, y, z] and not reached[x, y, z]:
+                    reached[x, y, z] = True
+                    stack[depth, 0], stack[depth, 1], stack[depth, 2] = x, y, z
+                    depth += 1
+    while depth > 0:
+        depth -= 1
+        at_x, at_y, at_z = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+        for k in range(6):
+            step = 1 if k & 1 else -1
+            x, y, z = at_x + (step if k < 2 else 0), at_y + (step if 2 <= k < 4 else 0), at_z + (step if k >= 4 else 0)
+            if 0 <= x < nx and 0 <= y < ny and 0 <= z < nz and not is_blocked[x, y, z] and not reached[x, y, z]:
+                reached[x, y, z] = True
+                stack[depth, 0], stack[depth, 1], stack[depth, 2] = x, y, z
+                depth += 1
+    return reached

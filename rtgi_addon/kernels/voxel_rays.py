@@ -25,35 +25,69 @@ OWN_REACH = f32(1.5)        # cells within which a plane that a ray crosses from
 SLACK = f32(1e-4)           # cells that a plane's crossing may lie outside its cell by rounding
 SEAM = f32(0.1)             # cells that a seam between two planes may lie outside the boxes of their surfaces
 FAR = f32(1e20)
+UNIT, HALF_UNIT = f32(32767), f32(16383)                # an offset may be up to the voxel's diagonal, 1.73
+RCP_UNIT, RCP_HALF_UNIT, BOX_STEP = f32(1 / 32767), f32(1 / 16383), f32(1 / BOX_STEPS)
+SLOT_WORDS, W_OFFSET, W_MASK, W_BOX, ROW_WORDS = 8, 3, 4, 5, 32
 LOBE_SUMS = 12
 
 
 class VoxelWalk(NamedTuple):
-    """What rays need of the voxels; lengths are in cells.
+    """What rays need of the voxels, packed: a cache line a voxel; lengths are in cells.
 
-    bricks (bx, by, bz) int64: a bit for each of a brick's 4x4x4 cells, x fastest; index, planes, masks, boxes: as in
-    `kernels.voxels.Voxels`.
+    bits (bx, by, bz) uint64: a bit for each of a brick's 4x4x4 cells, x fastest; first (bx, by, bz) int32: row of a brick's first
+    voxel. rows (V, 32) int16: by slot eight numbers, the plane's normal in steps of 1 / UNIT, its offset in steps of
+    1 / HALF_UNIT, the mask, the slot's box as three pairs of bytes (lowest, highest).
     """
 
-    bricks: np.ndarray
-    index: np.ndarray
-    planes: np.ndarray
-    masks: np.ndarray
-    boxes: np.ndarray
+    bits: np.ndarray
+    first: np.ndarray
+    rows: np.ndarray
+
+
+@pixel_jit
+def pack_rows(planes, masks, boxes, rows):
+    """Write `VoxelWalk.rows` from the fields of `kernels.voxels.Voxels`, in place."""
+    for row in prange(planes.shape[0]):
+        for slot in range(3):
+            at = SLOT_WORDS * slot
+            for a in range(3):
+                rows[row, at + a] = np.int16(round(planes[row, slot, a] * UNIT))
+                rows[row, at + W_BOX + a] = np.int16(np.int64(boxes[row, slot, a])
+                                                     | ((np.int64(boxes[row, slot, a + 3]) << 8) - ((1 << 16) if boxes[
+                                                         row, slot, a + 3] > 127 else 0)))
+            rows[row, at + W_OFFSET] = np.int16(round(planes[row, slot, 3] * HALF_UNIT))
+            mask = np.int64(masks[row, slot])
+            rows[row, at + W_MASK] = np.int16(mask - (1 << 16) if mask > 32767 else mask)
 
 
 @device_jit
-def brick_bit(x, y, z):
-    """Number of a cell's bit in its brick."""
-    return (x & 3) | ((y & 3) << 2) | ((z & 3) << 4)
-
-
-@device_jit
-def fill_bricks(cells, bricks):
-    """Set the bits of occupied cells (V, 3), in place."""
+def fill_bricks(cells, bits, first):
+    """Set the bits of occupied cells (V, 3), which come brick by brick, and the first row of each brick; in place."""
     for row in range(cells.shape[0]):
         x, y, z = np.int64(cells[row, 0]), np.int64(cells[row, 1]), np.int64(cells[row, 2])
-        bricks[x >> 2, y >> 2, z >> 2] |= np.int64(1) << brick_bit(x, y, z)
+        if bits[x >> 2, y >> 2, z >> 2] == np.uint64(0):
+            first[x >> 2, y >> 2, z >> 2] = row
+        bits[x >> 2, y >> 2, z >> 2] |= np.uint64(1) << np.uint64((x & 3) | ((y & 3) << 2) | ((z & 3) << 4))
+
+
+@device_jit
+def count_ones(word):
+    """Ones in 64 bits; compilers know the form and use the processor's own instruction."""
+    w = np.uint64(word)
+    w = w - ((w >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    w = (w & np.uint64(0x3333333333333333)) + ((w >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    w = (w + (w >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64((w * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@device_jit
+def row_of(bits_of, first, x, y, z):
+    """Row of the voxel in cell (x, y, z) inside the grid, -1 where it is empty."""
+    bits = bits_of[x >> 2, y >> 2, z >> 2]
+    bit = np.uint64((x & 3) | ((y & 3) << 2) | ((z & 3) << 4))
+    if (bits >> bit) & np.uint64(1) == np.uint64(0):
+        return np.int64(-1)
+    return np.int64(first[x >> 2, y >> 2, z >> 2]) + count_ones(bits & ((np.uint64(1) << bit) - np.uint64(1)))
 
 
 @device_jit
@@ -62,27 +96,55 @@ def _reciprocal(x):
 
 
 @device_jit
-def _plane(planes, row, slot):
-    return Vec3(planes[row, slot, 0], planes[row, slot, 1], planes[row, slot, 2])
+def slot_mask(rows, row, slot):
+    """The mask of a slot, 0 for an empty one."""
+    return np.int64(rows[row, SLOT_WORDS * slot + W_MASK]) & 0xFFFF
 
 
 @device_jit
-def _covers(walk, row, slot, p, slack):
-    """Do a slot's surfaces reach the point p of its plane, in cells from the voxel's lowest corner, give or take `slack`?"""
-    x, y, z, box = p.x, p.y, p.z, walk.boxes
-    step = f32(1 / BOX_STEPS)
-    if (x < f32(box[row, slot, 0]) * step - slack or y < f32(box[row, slot, 1]) * step - slack
-            or z < f32(box[row, slot, 2]) * step - slack or x > f32(box[row, slot, 3]) * step + slack
-            or y > f32(box[row, slot, 4]) * step + slack or z > f32(box[row, slot, 5]) * step + slack):
-        return False
-    u, v = (y, z) if slot == 0 else ((z, x) if slot == 1 else (x, y))
+def slot_plane(rows, row, slot):
+    """(normal, offset) of a slot's plane, counted from the voxel's lowest corner."""
+    at = SLOT_WORDS * slot
+    return (Vec3(f32(rows[row, at]) * RCP_UNIT, f32(rows[row, at + 1]) * RCP_UNIT, f32(rows[row, at + 2]) * RCP_UNIT),
+            f32(rows[row, at + W_OFFSET]) * RCP_HALF_UNIT)
+
+
+@device_jit
+def slot_box(rows, row, slot):
+    """Lowest and highest corner of a slot's surfaces, from the voxel's lowest corner."""
+    at = SLOT_WORDS * slot + W_BOX
+    x, y, z = np.int64(rows[row, at]), np.int64(rows[row, at + 1]), np.int64(rows[row, at + 2])
+    return (Vec3(f32(x & 0xFF) * BOX_STEP, f32(y & 0xFF) * BOX_STEP, f32(z & 0xFF) * BOX_STEP),
+            Vec3(f32((x >> 8) & 0xFF) * BOX_STEP, f32((y >> 8) & 0xFF) * BOX_STEP, f32((z >> 8) & 0xFF) * BOX_STEP))
+
+
+@device_jit
+def mask_covers(mask, slot, p):
+    """Does a slot's mask hold the square around p, in cells from the voxel's lowest corner?"""
+    u, v = (p.y, p.z) if slot == 0 else ((p.z, p.x) if slot == 1 else (p.x, p.y))
     column = min(max(int(u * f32(MASK_SIDE)), 0), MASK_SIDE - 1)
     line = min(max(int(v * f32(MASK_SIDE)), 0), MASK_SIDE - 1)
-    return (np.int64(walk.masks[row, slot]) >> (line * MASK_SIDE + column)) & 1 == 1
+    return (mask >> (line * MASK_SIDE + column)) & 1 == 1
 
 
 @device_jit
-def meet_voxel(walk, row, corner, before, before_corner, o, d, n, t_in, t_out):
+def _is_within(word, x, slack):
+    w = np.int64(word)
+    return (f32(w & 0xFF) * BOX_STEP - slack <= x) and (x <= f32((w >> 8) & 0xFF) * BOX_STEP + slack)
+
+
+@device_jit
+def _covers(rows, row, slot, p, slack):
+    """Do a slot's surfaces reach the point p of its plane, in cells from the voxel's lowest corner, give or take `slack`?"""
+    at = SLOT_WORDS * slot + W_BOX
+    if not (_is_within(rows[row, at], p.x, slack) and _is_within(rows[row, at + 1], p.y, slack)
+            and _is_within(rows[row, at + 2], p.z, slack)):
+        return False
+    return mask_covers(slot_mask(rows, row, slot), slot, p)
+
+
+@device_jit
+def meet_voxel(rows, row, corner, before, before_corner, o, d, n, t_in, t_out):
     """(t, side) of the first surface of voxel `row` that the ray o + t d meets between t_in and t_out; t is FAR for none.
 
     `corner` is the voxel's lowest corner; `before` the row of the voxel that the ray has just left, -1 for none. `n` is the
@@ -92,21 +154,22 @@ def meet_voxel(walk, row, corner, before, before_corner, o, d, n, t_in, t_out):
     local = sub(o, corner)
     best, side = FAR, 0
     for slot in range(3):
-        if walk.masks[row, slot] == 0:
+        if slot_mask(rows, row, slot) == 0:
             continue
-        plane = _plane(walk.planes, row, slot)
-        height, slope, facing = dot(plane, local) - walk.planes[row, slot, 3], dot(plane, d), dot(plane, n)
+        plane, offset = slot_plane(rows, row, slot)
+        height, slope, facing = dot(plane, local) - offset, dot(plane, d), dot(plane, n)
         t = -height / slope if slope != ZERO else FAR
         if slope * facing > ZERO and t < OWN_REACH:
             continue                             # crossed from behind: the uneven surface that the ray stands on
         if t > ZERO and t_in - SLACK <= t and t <= t_out + SLACK:
-            if t < best and _covers(walk, row, slot, along(local, d, t), SLACK):
+            if t < best and _covers(rows, row, slot, along(local, d, t), SLACK):
                 best, side = t, 2 * slot + (1 if slope > ZERO else 0)
-        elif before >= 0 and walk.masks[before, slot] != 0 and t_in > ZERO:
-            other, there = _plane(walk.planes, before, slot), along(sub(o, before_corner), d, t_in)
-            was = dot(other, there) - walk.planes[before, slot, 3]
+        elif before >= 0 and slot_mask(rows, before, slot) != 0 and t_in > ZERO:
+            other, offset = slot_plane(rows, before, slot)
+            there = along(sub(o, before_corner), d, t_in)
+            was = dot(other, there) - offset
             if (was * (height + slope * t_in) < ZERO and dot(other, plane) > f32(0.5) and t_in < best
-                    and (_covers(walk, row, slot, along(local, d, t_in), SEAM) or _covers(walk, before, slot, there, SEAM))):
+                    and (_covers(rows, row, slot, along(local, d, t_in), SEAM) or _covers(rows, before, slot, there, SEAM))):
                 best, side = t_in, 2 * slot + (0 if was > ZERO else 1)
     return best, side
 
@@ -118,7 +181,7 @@ def first_surface(walk, o, d, n, reach):
     o in cells from the grid's lowest corner, d a unit vector; n as in `meet_voxel`. Without a hit t is where the ray ended:
     `reach`, or the border of the grid.
     """
-    nx, ny, nz = walk.index.shape
+    nx, ny, nz = BRICK * walk.bits.shape[0], BRICK * walk.bits.shape[1], BRICK * walk.bits.shape[2]
     inv = Vec3(_reciprocal(d.x), _reciprocal(d.y), _reciprocal(d.z))
     a, b = -o.x * inv.x, (f32(nx) - o.x) * inv.x
     t, end = min(a, b), max(a, b)
@@ -127,8 +190,8 @@ def first_surface(walk, o, d, n, reach):
     a, b = -o.z * inv.z, (f32(nz) - o.z) * inv.z
     t, end = max(max(t, min(a, b)), ZERO), min(min(end, max(a, b)), reach)
     if not t <= end:
-        return max(end, ZERO), -1, 0
-    bricks = walk.bricks
+        return max(end, ZERO), np.int64(-1), 0
+    bricks, first, rows = walk.bits, walk.first, walk.rows
     p = along(o, d, t)
     x, y, z = min(max(int(p.x), 0), nx - 1) >> 2, min(max(int(p.y), 0), ny - 1) >> 2, min(max(int(p.z), 0), nz - 1) >> 2
     forth_x, forth_y, forth_z = int(d.x >= ZERO), int(d.y >= ZERO), int(d.z >= ZERO)
@@ -137,11 +200,11 @@ def first_surface(walk, o, d, n, reach):
     next_x = (f32((x + forth_x) * BRICK) - o.x) * inv.x
     next_y = (f32((y + forth_y) * BRICK) - o.y) * inv.y
     next_z = (f32((z + forth_z) * BRICK) - o.z) * inv.z
-    before, before_corner = -1, o
+    before, before_corner = np.int64(-1), o
     while True:
         bits = bricks[x, y, z]
-        if bits == 0:
-            before = -1
+        if bits == np.uint64(0):
+            before = np.int64(-1)
         else:
             p = along(o, d, t)
             cx, cy, cz = int(p.x) - BRICK * x, int(p.y) - BRICK * y, int(p.z) - BRICK * z
@@ -152,15 +215,16 @@ def first_surface(walk, o, d, n, reach):
             inside = t
             while True:
                 t_out = min(to_x, min(to_y, to_z))
-                if (bits >> (cx | (cy << 2) | (cz << 4))) & 1:
-                    row = walk.index[BRICK * x + cx, BRICK * y + cy, BRICK * z + cz]
+                bit = np.uint64(cx | (cy << 2) | (cz << 4))
+                if (bits >> bit) & np.uint64(1) != np.uint64(0):
+                    row = np.int64(first[x, y, z]) + count_ones(bits & ((np.uint64(1) << bit) - np.uint64(1)))
                     corner = Vec3(f32(BRICK * x + cx), f32(BRICK * y + cy), f32(BRICK * z + cz))
-                    hit, side = meet_voxel(walk, row, corner, before, before_corner, o, d, n, inside, t_out)
+                    hit, side = meet_voxel(rows, row, corner, before, before_corner, o, d, n, inside, t_out)
                     if hit < end:
                         return hit, row, side
                     before, before_corner = row, corner
                 else:
-                    before = -1
+                    before = np.int64(-1)
                 inside = max(inside, t_out)
                 if to_x <= to_y and to_x <= to_z:
                     cx += step_x
@@ -179,7 +243,7 @@ def first_surface(walk, o, d, n, reach):
                         break
         t = max(t, min(next_x, min(next_y, next_z)))
         if t >= end:
-            return end, -1, 0
+            return end, np.int64(-1), 0
         if next_x <= next_y and next_x <= next_z:
             x += step_x
             next_x += f32(BRICK) * cell_x
@@ -190,7 +254,7 @@ def first_surface(walk, o, d, n, reach):
             z += step_z
             next_z += f32(BRICK) * cell_z
         if x < 0 or y < 0 or z < 0 or x >= bricks.shape[0] or y >= bricks.shape[1] or z >= bricks.shape[2]:
-            return end, -1, 0
+            return end, np.int64(-1), 0
 
 
 @pixel_jit
@@ -206,29 +270,30 @@ def cast_voxel_rays(walk, origin, direction, normal, reach):
 
 
 @device_jit
-def _slot_score(walk, row, corner, p, n):
+def _slot_score(rows, row, corner, p, n):
     """(how well a slot of voxel `row` fits a surface at p of normal n, its side); alignment less distance, -9 for none."""
     best, side = f32(-9), -1
     for slot in range(3):
-        if walk.masks[row, slot] != 0:
-            plane = _plane(walk.planes, row, slot)
+        if slot_mask(rows, row, slot) != 0:
+            plane, offset = slot_plane(rows, row, slot)
             cosine = dot(plane, n)
-            score = abs(cosine) - abs(dot(plane, sub(p, corner)) - walk.planes[row, slot, 3])
+            score = abs(cosine) - abs(dot(plane, sub(p, corner)) - offset)
             if score > best:
                 best, side = score, 2 * slot + (0 if cosine >= ZERO else 1)
     return best, side
 
 
 @pixel_jit
-def find_sides(walk, table, origin, rcp_cell, good_score):
+def find_sides(walk, shape, table, origin, rcp_cell, good_score):
     """(N,) int32: 6 row + side of the surface that each texel lies on; -1 for none.
 
-    table: texels as in `kernels.clusters`, positions in metres; origin (3,) float64 m of the grid. A texel whose own cell
-    holds no surface like its own, by rounding or because its object has no triangles there, goes to the best of the 27
-    cells around.
+    table: texels as in `kernels.clusters`, positions in metres; shape (3,) and origin (3,) float64 m of the grid. A texel whose
+    own cell holds no surface like its own, by rounding or because its object has no triangles there, goes to the best of
+    the 27 cells around.
     """
     number = table.shape[1]
-    nx, ny, nz = walk.index.shape
+    nx, ny, nz = shape[0], shape[1], shape[2]
+    rows = walk.rows
     out = np.full(number, -1, np.int32)
     for i in prange(number):
         p = Vec3(f32((table[POSITION, i] - origin[0]) * rcp_cell), f32((table[POSITION + 1, i] - origin[1]) * rcp_cell),
@@ -239,29 +304,32 @@ def find_sides(walk, table, origin, rcp_cell, good_score):
             continue
         x, y, z = int(math.floor(p.x)), int(math.floor(p.y)), int(math.floor(p.z))
         best = f32(-8)
-        if 0 <= x < nx and 0 <= y < ny and 0 <= z < nz and walk.index[x, y, z] >= 0:
-            best, side = _slot_score(walk, walk.index[x, y, z], Vec3(f32(x), f32(y), f32(z)), p, n)
-            out[i] = 6 * walk.index[x, y, z] + side if side >= 0 else -1
+        if 0 <= x < nx and 0 <= y < ny and 0 <= z < nz:
+            row = row_of(walk.bits, walk.first, x, y, z)
+            if row >= 0:
+                best, side = _slot_score(rows, row, Vec3(f32(x), f32(y), f32(z)), p, n)
+                out[i] = 6 * row + side if side >= 0 else -1
         if best >= good_score:
             continue
         for a in range(max(x - 1, 0), min(x + 2, nx)):
             for b in range(max(y - 1, 0), min(y + 2, ny)):
                 for c in range(max(z - 1, 0), min(z + 2, nz)):
-                    if walk.index[a, b, c] >= 0:
-                        score, side = _slot_score(walk, walk.index[a, b, c], Vec3(f32(a), f32(b), f32(c)), p, n)
+                    row = row_of(walk.bits, walk.first, a, b, c)
+                    if row >= 0:
+                        score, side = _slot_score(rows, row, Vec3(f32(a), f32(b), f32(c)), p, n)
                         if score > best:
-                            best, out[i] = score, 6 * walk.index[a, b, c] + side
+                            best, out[i] = score, 6 * row + side
     return out
 
 
 @device_jit
-def add_texels(table, sides, first, last, diffuse, lobes):
-    """Add the flux of texels first .. last - 1 to their sides, in place, on one thread and in their order.
+def add_texels(table, sides, diffuse, lobes):
+    """Add the flux of texels to their sides, in place, on one thread and in their order.
 
     diffuse (6 V, 3) float32: Lambertian flux; lobes (6 V, LOBE_SUMS) float32: glossy flux by colour and, weighed by its
     mean, normal, direction to the light, alpha squared, F0 and 1.
     """
-    for i in range(first, last):
+    for i in range(sides.shape[0]):
         side = sides[i]
         if side < 0:
             continue

@@ -37,7 +37,7 @@ class Voxels(NamedTuple):
     """Voxels that hold surface, as kernels take them; lengths are in cells.
 
     index (nx, ny, nz) int32: row of the tables below, -1 where the cell is empty.
-    cells (V, 3) int32: x, y, z of each voxel.
+    cells (V, 3) int32: x, y, z of each voxel, brick by brick (`list_cells`).
     planes (V, 3, 4) float32: by slot, the unit normal (its component along the slot's axis is positive) and the offset
     n . p of the mean plane, p counted from the cell's lowest corner.
     masks (V, 3) uint16: by slot, bit 4 row + column for each of the 4x4 squares that the surfaces touch, seen along
@@ -285,6 +285,28 @@ def visit_slices(corners, albedo, emission, origin, rcp_cell, order, starts, ent
                     if in_cell >= 3:
                         row = index[cell[0], cell[1], cell[2]]
                         _add_polygon(poly, 4, in_cell, albedo, emission, t, n, axis, cell, row, sums, boxes, masks)
+
+
+@device_jit
+def list_cells(is_occupied, index):
+    """(V, 3) int32 occupied cells, brick by brick of 4x4x4, x fastest in a brick; their rows into `index`, in place.
+
+    A brick's voxels lie together in memory, and a cell's row is its brick's first row plus the occupied cells before it.
+    """
+    nx, ny, nz = is_occupied.shape
+    cells = np.empty((is_occupied.sum(), 3), np.int32)
+    row = 0
+    for bx in range(0, nx, 4):
+        for by in range(0, ny, 4):
+            for bz in range(0, nz, 4):
+                for z in range(bz, min(bz + 4, nz)):
+                    for y in range(by, min(by + 4, ny)):
+                        for x in range(bx, min(bx + 4, nx)):
+                            if is_occupied[x, y, z]:
+                                cells[row, 0], cells[row, 1], cells[row, 2] = x, y, z
+                                index[x, y, z] = row
+                                row += 1
+    return cells
 
 
 @device_jit

@@ -6,10 +6,11 @@ from ..errors import InputError
 from .base import Technique
 from .direct import TECHNIQUE as _DIRECT
 from .rsm import TECHNIQUE as _RSM
+from .vxgi import TECHNIQUE as _VXGI
 from .world import TECHNIQUE as _WORLD
 
 # in the order in which they run; where several could supply the same light, the planner prefers the first
-TECHNIQUES: dict[str, Technique] = {t.name: t for t in (_DIRECT, _WORLD, _RSM)}
+TECHNIQUES: dict[str, Technique] = {t.name: t for t in (_DIRECT, _WORLD, _RSM, _VXGI)}
 
 
 def technique(name: str) -> Technique:

@@ -63,6 +63,7 @@ class Context:
         self._cutouts_of: Cutouts | None = None
         self._tree: Any = None                   # as it is without cutouts
         self._bvh: Any = None
+        self._voxels: tuple[Any, Any, Any] = (None, None, None)
         self.light: dict[Transport, np.ndarray] = {}
 
     def listen(self, is_cancelled: Callable[[], bool], report: Callable[[str, float], None]) -> None:
@@ -88,6 +89,18 @@ class Context:
             self._bvh = with_cutouts(self._tree, geometry.cutouts)
         self._bvh_of, self._cutouts_of = geometry.corners_ws, geometry.cutouts
         return self._bvh
+
+
+    def voxels(self, geometry: Geometry, grid: Any) -> Any:
+        """`voxel_scene.VoxelScene` of the triangles in `grid` (`voxel_scene.Grid`), made once for the same of both."""
+        from .voxel_scene import voxel_scene
+
+        before, its_grid, scene = self._voxels
+        if before is None or its_grid != grid or not (before is geometry or all(
+                np.array_equal(getattr(before, name), getattr(geometry, name)) for name in ("corners_ws", "albedo", "emission"))):
+            scene = voxel_scene(geometry, grid)
+        self._voxels = geometry, grid, scene
+        return scene
 
 
 @dataclass(frozen=True)

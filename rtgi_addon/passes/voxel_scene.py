@@ -14,14 +14,16 @@ import numpy as np
 from ..core.frame import Frame, Geometry
 from ..kernels.pilot import cast_rays
 from ..kernels.vec3 import f32
-from ..kernels.voxel_rays import BRICK, VoxelWalk, fill_bricks
-from ..kernels.voxels import SUMS, Voxels, fill_coverage, finish_voxels, list_entries, slice_spans, visit_slices
+from ..kernels.voxel_levels import flood
+from ..kernels.voxel_rays import BRICK, ROW_WORDS, VoxelWalk, fill_bricks, pack_rows
+from ..kernels.voxels import SUMS, Voxels, fill_coverage, finish_voxels, list_cells, list_entries, slice_spans, visit_slices
 from .base import Context
 
 PILOT_POINTS, PILOT_RAYS = 2048, 8    # 16384 hits place each border of the box within a few of them
 TRIM = 0.005                # share of the points that may lie outside the box at each of its borders
 ROOM = 0.05                 # of the box's longest edge, added at each border for what the few pilot rays missed
 MARGIN_CELLS = 1.5          # cells around the points: what stands at the box's border lies in the middle of a cell
+SEED_CELLS = 1.8            # above a seen surface: a diagonal away, in a cell that its own surface does not occupy
 BATCH_ENTRIES = 1 << 23     # pairs of slice and triangle that are listed at a time: 32 MB
 
 
@@ -39,15 +41,15 @@ class VoxelScene:
 
 @dataclass(frozen=True)
 class Grid:
-    """Cubic cells over a box: `origin_ws` (3,) float64 m is its lowest corner, `shape` the number of cells along x, y, z."""
+    """Cubic cells over a box: `origin_ws` m is its lowest corner, `shape` the number of cells along x, y, z."""
 
-    origin_ws: np.ndarray
+    origin_ws: tuple[float, float, float]
     cell_m: float
     shape: tuple[int, int, int]
 
     def to_cells(self, position_ws: np.ndarray) -> np.ndarray:
         """Points (..., 3) m to cells from the lowest corner, float32."""
-        return ((position_ws - self.origin_ws) / self.cell_m).astype(np.float32)
+        return ((position_ws - np.array(self.origin_ws)) / self.cell_m).astype(np.float32)
 
 
 def grid_around(low_ws: np.ndarray, high_ws: np.ndarray, resolution: int) -> Grid:
@@ -61,8 +63,8 @@ def grid_around(low_ws: np.ndarray, high_ws: np.ndarray, resolution: int) -> Gri
     cell = max(longest / max(resolution - 2 * MARGIN_CELLS, 1.0), least)
     shape = np.minimum(np.ceil((high - low) / cell - 1e-6).astype(int) + round(2 * MARGIN_CELLS), resolution)
     shape = np.maximum(shape, round(2 * MARGIN_CELLS))
-    middle = (low + high) / 2
-    return Grid(middle - shape * cell / 2, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
+    corner = (low + high) / 2 - shape * cell / 2
+    return Grid(tuple(corner.tolist()), float(cell), tuple(shape.tolist()))
 
 
 def reached_box(frame: Frame, context: Context, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +119,7 @@ def voxelise(geometry: Geometry, grid: Grid) -> Voxels:
     quarter turn of triangles and grid about an axis permutes the voxels; so does not the order of the triangles more than
     rounding.
     """
-    shape = tuple(int(n) for n in grid.shape)
+    shape = grid.shape
     corners, origin, rcp_cell = geometry.corners_ws, np.asarray(grid.origin_ws, np.float64), 1.0 / grid.cell_m
     along = int(np.argmax(shape))
     order = np.array([along, *(a for a in range(3) if a != along)])
@@ -134,8 +136,7 @@ def voxelise(geometry: Geometry, grid: Grid) -> Voxels:
                          is_occupied, index, sums, extents, masks, is_marking)
 
     visit(np.zeros((0, 3, SUMS), np.float32), np.zeros((0, 3, 6), np.float32), np.zeros((0, 3), np.uint16), True)
-    cells = np.argwhere(is_occupied).astype(np.int32)
-    index[is_occupied] = np.arange(len(cells), dtype=np.int32)
+    cells = list_cells(is_occupied, index)
     sums, masks = np.zeros((len(cells), 3, SUMS), np.float32), np.zeros((len(cells), 3), np.uint16)
     extents = np.tile(np.float32([1, 1, 1, 0, 0, 0]), (len(cells), 3, 1))
     visit(sums, extents, masks, False)
@@ -173,12 +174,30 @@ def coverage_of(voxels: Voxels) -> np.ndarray:
 
 def walk_of(voxels: Voxels) -> VoxelWalk:
     """The voxels as rays take them."""
-    bricks = np.zeros([-(-n // BRICK) for n in voxels.index.shape], np.int64)
-    fill_bricks(voxels.cells, bricks)
-    return VoxelWalk(bricks, voxels.index, voxels.planes, voxels.masks, voxels.boxes)
+    shape = [-(-n // BRICK) for n in voxels.index.shape]
+    bits, first = np.zeros(shape, np.uint64), np.zeros(shape, np.int32)
+    fill_bricks(voxels.cells, bits, first)
+    rows = np.zeros((len(voxels.cells), ROW_WORDS), np.int16)
+    pack_rows(voxels.planes, voxels.masks, voxels.boxes, rows)
+    return VoxelWalk(bits, first, rows)
 
 
 def voxel_scene(geometry: Geometry, grid: Grid) -> VoxelScene:
     """The triangles in `grid`, ready for rays."""
     voxels = voxelise(geometry, grid)
     return VoxelScene(grid, voxels, walk_of(voxels))
+
+
+def solid_cells(frame: Frame, scene: VoxelScene) -> np.ndarray:
+    """(nx, ny, nz) bool: empty cells that surfaces close off from all that the camera sees, from the lamps and from outside.
+
+    The inside of walls and closed bodies. A room is none, even one without a door, if the camera sees into it or a lamp
+    stands in it.
+    """
+    g, blocked = frame.gbuffer, scene.voxels.index >= 0
+    seen = g.position_ws[g.mask] + np.float32(SEED_CELLS * scene.grid.cell_m) * g.normal_ws[g.mask]
+    lamps = np.array([light.position_ws for light in frame.lights]).reshape(-1, 3)
+    seeds = np.concatenate([scene.grid.to_cells(seen), scene.grid.to_cells(lamps), scene.grid.to_cells(
+        frame.camera.position_ws[None])])
+    seeds = np.floor(np.clip(np.nan_to_num(seeds, nan=-1.0), -1, 1 << 20)).astype(np.int32)
+    return ~flood(blocked, np.unique(seeds, axis=0)) & ~blocked

@@ -21,7 +21,7 @@ def soup(rng, n, low=1.0, high=9.0, size=2.0):
 
 
 def unit_grid(*shape: int) -> Grid:
-    return Grid(np.zeros(3), 1.0, shape or (10, 10, 10))
+    return Grid((0.0, 0.0, 0.0), 1.0, shape or (10, 10, 10))
 
 
 def overlaps(triangle: np.ndarray, cell: np.ndarray, slack: float) -> bool:
@@ -114,7 +114,7 @@ def test_unit_of_the_scene_does_not_change_the_voxels(rng):
     triangles = soup(rng, 40)
     plain = voxelise(geometry_of(triangles), unit_grid())
     for scale in (2.0**-10, 2.0**20):                          # powers of two: the same digits
-        other = voxelise(geometry_of(triangles * np.float32(scale)), Grid(np.zeros(3), scale, (10, 10, 10)))
+        other = voxelise(geometry_of(triangles * np.float32(scale)), Grid((0.0, 0.0, 0.0), scale, (10, 10, 10)))
         assert all(a.tobytes() == b.tobytes() for a, b in zip(plain, other, strict=True))
 
 
@@ -180,8 +180,8 @@ def test_a_grid_holds_its_box_with_cubic_cells(resolution):
     low, high = np.array([-1.0, 2.0, 0.0]), np.array([3.0, 2.5, 1.0])
     grid = grid_around(low, high, resolution)
     assert max(grid.shape) == resolution
-    top = grid.origin_ws + np.array(grid.shape) * grid.cell_m
-    assert (grid.origin_ws <= low - 0.4 * grid.cell_m).all() and (top >= high + 0.4 * grid.cell_m).all()
+    top = np.array(grid.origin_ws) + np.array(grid.shape) * grid.cell_m
+    assert (np.array(grid.origin_ws) <= low - 0.4 * grid.cell_m).all() and (top >= high + 0.4 * grid.cell_m).all()
 
 
 @pytest.mark.parametrize(("low", "high"), [((0, 0, 0), (0, 0, 0)), ((5e5, 5e5, 1), (5e5, 5e5, 1)), ((0, 0, 0), (1e-3, 0, 0)),
