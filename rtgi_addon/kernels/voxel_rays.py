@@ -23,6 +23,7 @@ BRICK = 4                   # cells along the edge of a brick: 64 bits, and 32 b
 LIFT = f32(0.01)            # cells that a ray's start is lifted off its surface: above the rounding of float32 positions
 OWN_REACH = f32(1.5)        # cells within which a plane that a ray crosses from behind is the surface that it started on
 SLACK = f32(1e-4)           # cells that a plane's crossing may lie outside its cell by rounding
+DEEPEST_SEAM = f32(0.3)     # cells that two planes of one surface may be apart where their voxels meet
 SEAM = f32(0.1)             # cells that a seam between two planes may lie outside the boxes of their surfaces
 FAR = f32(1e20)
 UNIT, HALF_UNIT = f32(32767), f32(16383)                # an offset may be up to the voxel's diagonal, 1.73
@@ -34,8 +35,8 @@ LOBE_SUMS = 12
 class VoxelWalk(NamedTuple):
     """What rays need of the voxels, packed: a cache line a voxel; lengths are in cells.
 
-    bits (bx, by, bz) uint64: a bit for each of a brick's 4x4x4 cells, x fastest; first (bx, by, bz) int32: row of a brick's first
-    voxel. rows (V, 32) int16: by slot eight numbers, the plane's normal in steps of 1 / UNIT, its offset in steps of
+    bits (bx, by, bz) uint64: a bit for each of a brick's 4x4x4 cells, x fastest; first (bx, by, bz) int32: row of a brick's
+    first voxel, or 0 less the distance in bricks to the nearest that holds one. rows (V, 32) int16: by slot eight numbers, the plane's normal in steps of 1 / UNIT, its offset in steps of
     1 / HALF_UNIT, the mask, the slot's box as three pairs of bytes (lowest, highest).
     """
 
@@ -68,6 +69,32 @@ def fill_bricks(cells, bits, first):
         if bits[x >> 2, y >> 2, z >> 2] == np.uint64(0):
             first[x >> 2, y >> 2, z >> 2] = row
         bits[x >> 2, y >> 2, z >> 2] |= np.uint64(1) << np.uint64((x & 3) | ((y & 3) << 2) | ((z & 3) << 4))
+
+
+@device_jit
+def fill_clearance(bits, first):
+    """Write 0 less the distance in bricks to the nearest occupied one to the empty bricks of `first`, in place.
+
+    The largest of the three differences counts; two passes over half of the neighbours each are exact for it (Rosenfeld
+    and Pfaltz 1966).
+    """
+    nx, ny, nz = bits.shape
+    most = nx + ny + nz
+    for turn in range(2):
+        for i in range(nx):
+            for j in range(ny):
+                for k in range(nz):
+                    x, y, z = (i, j, k) if turn == 0 else (nx - 1 - i, ny - 1 - j, nz - 1 - k)
+                    if bits[x, y, z] != np.uint64(0):
+                        continue
+                    least = most if turn == 0 else -first[x, y, z]
+                    for c in range(13):          # the neighbours that come before this one in the order of the pass
+                        a, b, e = c // 9, c // 3 % 3, c % 3
+                        u, v, w = (x + a - 1, y + b - 1, z + e - 1) if turn == 0 else (x + 1 - a, y + 1 - b, z + 1 - e)
+                        if 0 <= u < nx and 0 <= v < ny and 0 <= w < nz:
+                            near = 0 if bits[u, v, w] != np.uint64(0) else -first[u, v, w]
+                            least = min(least, near + 1)
+                    first[x, y, z] = -least
 
 
 @device_jit
@@ -157,18 +184,20 @@ def meet_voxel(rows, row, corner, before, before_corner, o, d, n, t_in, t_out):
         if slot_mask(rows, row, slot) == 0:
             continue
         plane, offset = slot_plane(rows, row, slot)
-        height, slope, facing = dot(plane, local) - offset, dot(plane, d), dot(plane, n)
-        t = -height / slope if slope != ZERO else FAR
-        if slope * facing > ZERO and t < OWN_REACH:
-            continue                             # crossed from behind: the uneven surface that the ray stands on
-        if t > ZERO and t_in - SLACK <= t and t <= t_out + SLACK:
-            if t < best and _covers(rows, row, slot, along(local, d, t), SLACK):
+        height, slope = dot(plane, local) - offset, dot(plane, d)
+        steep = abs(slope)
+        if height * slope < ZERO and abs(height) <= steep * (t_out + SLACK) and abs(height) >= steep * (t_in - SLACK):
+            t = abs(height) / steep
+            # a plane that is crossed from behind at the start is that of the uneven surface that the ray stands on
+            if (slope * dot(plane, n) <= ZERO or t >= OWN_REACH) and t < best and _covers(rows, row, slot, along(local, d, t),
+                                                                                         SLACK):
                 best, side = t, 2 * slot + (1 if slope > ZERO else 0)
-        elif before >= 0 and slot_mask(rows, before, slot) != 0 and t_in > ZERO:
+        elif before >= 0 and t_in > ZERO and abs(height + slope * t_in) < DEEPEST_SEAM and slot_mask(rows, before, slot) != 0:
             other, offset = slot_plane(rows, before, slot)
             there = along(sub(o, before_corner), d, t_in)
             was = dot(other, there) - offset
             if (was * (height + slope * t_in) < ZERO and dot(other, plane) > f32(0.5) and t_in < best
+                    and (t_in >= OWN_REACH or slope * dot(plane, n) <= ZERO)
                     and (_covers(rows, row, slot, along(local, d, t_in), SEAM) or _covers(rows, before, slot, there, SEAM))):
                 best, side = t_in, 2 * slot + (0 if was > ZERO else 1)
     return best, side
@@ -205,6 +234,27 @@ def first_surface(walk, o, d, n, reach):
         bits = bricks[x, y, z]
         if bits == np.uint64(0):
             before = np.int64(-1)
+            clear = -first[x, y, z] - 1          # bricks around this one that are empty too: go to the last of them
+            if clear > 0:
+                ax, ay, az = (next_x + f32(clear * BRICK) * cell_x, next_y + f32(clear * BRICK) * cell_y,
+                              next_z + f32(clear * BRICK) * cell_z)
+                t = min(ax, min(ay, az))
+                if t >= end:
+                    return end, np.int64(-1), 0
+                p = along(o, d, t)
+                low_x, low_y, low_z = x - clear, y - clear, z - clear
+                if ax <= ay and ax <= az:
+                    x += step_x * clear
+                    y, z = min(max(int(p.y) >> 2, low_y), y + clear), min(max(int(p.z) >> 2, low_z), z + clear)
+                elif ay <= az:
+                    y += step_y * clear
+                    x, z = min(max(int(p.x) >> 2, low_x), x + clear), min(max(int(p.z) >> 2, low_z), z + clear)
+                else:
+                    z += step_z * clear
+                    x, y = min(max(int(p.x) >> 2, low_x), x + clear), min(max(int(p.y) >> 2, low_y), y + clear)
+                next_x = (f32((x + forth_x) * BRICK) - o.x) * inv.x
+                next_y = (f32((y + forth_y) * BRICK) - o.y) * inv.y
+                next_z = (f32((z + forth_z) * BRICK) - o.z) * inv.z
         else:
             p = along(o, d, t)
             cx, cy, cz = int(p.x) - BRICK * x, int(p.y) - BRICK * y, int(p.z) - BRICK * z

@@ -15,7 +15,7 @@ from ..core.frame import Frame, Geometry
 from ..kernels.pilot import cast_rays
 from ..kernels.vec3 import f32
 from ..kernels.voxel_levels import flood
-from ..kernels.voxel_rays import BRICK, ROW_WORDS, VoxelWalk, fill_bricks, pack_rows
+from ..kernels.voxel_rays import BRICK, ROW_WORDS, VoxelWalk, fill_bricks, fill_clearance, pack_rows
 from ..kernels.voxels import SUMS, Voxels, fill_coverage, finish_voxels, list_cells, list_entries, slice_spans, visit_slices
 from .base import Context
 
@@ -177,6 +177,7 @@ def walk_of(voxels: Voxels) -> VoxelWalk:
     shape = [-(-n // BRICK) for n in voxels.index.shape]
     bits, first = np.zeros(shape, np.uint64), np.zeros(shape, np.int32)
     fill_bricks(voxels.cells, bits, first)
+    fill_clearance(bits, first)
     rows = np.zeros((len(voxels.cells), ROW_WORDS), np.int16)
     pack_rows(voxels.planes, voxels.masks, voxels.boxes, rows)
     return VoxelWalk(bits, first, rows)
