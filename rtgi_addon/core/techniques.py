@@ -92,7 +92,9 @@ class VxgiParams(Params):
     world_light: bool = param(
         False, "Cones that leave the voxels bring the world's light, in place of the rays of World Light")
     glossy: bool = param(
-        False, "Glossy pixels take a cone around their mirror direction; the only reflections without Screen-Space Reflections")
+        False, "Glossy pixels take a cone around their mirror direction; reflections are as coarse as the voxels")
+    pictures: bool = param(
+        False, "Also draw the voxels as the camera sees them, for a look at what the technique sees; layers of --passes")
 
 
 TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams,

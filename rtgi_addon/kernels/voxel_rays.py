@@ -21,7 +21,9 @@ from .voxels import BOX_STEPS, MASK_SIDE
 
 BRICK = 4                   # cells along the edge of a brick: 64 bits, and 32 bricks across 128 cells fit the cache
 LIFT = f32(0.01)            # cells that a ray's start is lifted off its surface: above the rounding of float32 positions
-OWN_REACH = f32(1.5)        # cells within which a plane that a ray crosses from behind is the surface that it started on
+# a plane that a ray crosses from behind within so many cells, and that it started so near to, is that of the uneven surface
+# that the ray stands on
+OWN_REACH, OWN_DEPTH = f32(1.5), f32(0.3)
 SLACK = f32(1e-4)           # cells that a plane's crossing may lie outside its cell by rounding
 DEEPEST_SEAM = f32(0.3)     # cells that two planes of one surface may be apart where their voxels meet
 SEAM = f32(0.1)             # cells that a seam between two planes may lie outside the boxes of their surfaces
@@ -188,16 +190,15 @@ def meet_voxel(rows, row, corner, before, before_corner, o, d, n, t_in, t_out):
         steep = abs(slope)
         if height * slope < ZERO and abs(height) <= steep * (t_out + SLACK) and abs(height) >= steep * (t_in - SLACK):
             t = abs(height) / steep
-            # a plane that is crossed from behind at the start is that of the uneven surface that the ray stands on
-            if (slope * dot(plane, n) <= ZERO or t >= OWN_REACH) and t < best and _covers(rows, row, slot, along(local, d, t),
-                                                                                         SLACK):
+            is_own = abs(height) < OWN_DEPTH and t < OWN_REACH and slope * dot(plane, n) > ZERO
+            if not is_own and t < best and _covers(rows, row, slot, along(local, d, t), SLACK):
                 best, side = t, 2 * slot + (1 if slope > ZERO else 0)
         elif before >= 0 and t_in > ZERO and abs(height + slope * t_in) < DEEPEST_SEAM and slot_mask(rows, before, slot) != 0:
             other, offset = slot_plane(rows, before, slot)
             there = along(sub(o, before_corner), d, t_in)
             was = dot(other, there) - offset
             if (was * (height + slope * t_in) < ZERO and dot(other, plane) > f32(0.5) and t_in < best
-                    and (t_in >= OWN_REACH or slope * dot(plane, n) <= ZERO)
+                    and not (abs(height) < OWN_DEPTH and t_in < OWN_REACH and slope * dot(plane, n) > ZERO)
                     and (_covers(rows, row, slot, along(local, d, t_in), SEAM) or _covers(rows, before, slot, there, SEAM))):
                 best, side = t_in, 2 * slot + (0 if was > ZERO else 1)
     return best, side

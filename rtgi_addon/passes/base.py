@@ -41,12 +41,14 @@ class PassResult:
     """What a pass gives: (H, W, 3) float32 a transport, an optional visibility (H, W) float32 in [0, 1], diagnostics.
 
     `takes_over` names transports whose earlier light, from `Context.light`, went into this result and is replaced by it.
+    `pictures` (H, W, 3) float32 by name show what the technique works on; they are for looking at and not added up.
     """
 
     light: dict[Transport, np.ndarray]
     visibility: np.ndarray | None = None
     diagnostics: dict[str, Any] = field(default_factory=dict)
     takes_over: frozenset[Transport] = frozenset()
+    pictures: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 class Context:
@@ -89,7 +91,6 @@ class Context:
             self._bvh = with_cutouts(self._tree, geometry.cutouts)
         self._bvh_of, self._cutouts_of = geometry.corners_ws, geometry.cutouts
         return self._bvh
-
 
     def voxels(self, geometry: Geometry, grid: Any) -> Any:
         """`voxel_scene.VoxelScene` of the triangles in `grid` (`voxel_scene.Grid`), made once for the same of both."""

@@ -30,6 +30,7 @@ from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_on_lattice
 from .voxel_light import LitVoxels, aim_at, dark_voxels, emissive_voxels, levels_of, light_voxels
 from .voxel_scene import VoxelScene, grid_of_frame, solid_cells
+from .voxel_view import voxel_pictures
 from .world import shrink_map
 
 AIMED_SHARE = 0.5           # of the rays of a gather that looks for emissive surfaces: small lamps are rarely met by chance
@@ -90,7 +91,8 @@ def compute_vxgi(frame: Frame, params: VxgiParams, context: Context, seed: int =
         takes_over = frozenset({Transport.WORLD_DIFFUSE})
     if params.glossy:
         light[Transport.BOUNCE_GLOSSY] = _glossy(frame, scene, lit, levels_of(scene, lit, solid), context)
-    return PassResult(light, diagnostics={**diagnostics, **more}, takes_over=takes_over)
+    pictures = voxel_pictures(frame, scene, lit, levels_of(scene, lit, solid)) if params.pictures else {}
+    return PassResult(light, diagnostics={**diagnostics, **more}, takes_over=takes_over, pictures=pictures)
 
 
 def _facts(scene: VoxelScene, lit: LitVoxels) -> dict:
