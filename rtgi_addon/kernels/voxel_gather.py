@@ -11,7 +11,7 @@ from .jit import device_jit, pixel_jit, prange
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .sky import find_first, sky_texel
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load, normalized_or, scaled, sub, tangent_frame, to_world
-from .voxel_levels import trace_cone
+from .voxel_levels import blurred, trace_cone
 from .voxel_rays import LIFT, first_surface, mask_covers, slot_box, slot_mask, slot_plane
 
 PI = f32(math.pi)
@@ -161,12 +161,13 @@ def _balanced(rows, radiance, row, side, d, n, t, by_cosine, aimed):
 
 
 @pixel_jit
-def gather_reflections(position, normal, to_viewer, roughness, walk, levels, radiance, lobes, sky, spread):
+def gather_reflections(position, normal, to_viewer, roughness, walk, levels, radiance, lobes, spread):
     """(M, 3) float32 radiance W/(m2 sr) that one cone brings to each point (M, 3), in cells, for its glossy lobe.
 
     to_viewer (M, 3) unit vectors, roughness (M,). The cone follows the lobe's middle, which leans towards the normal as
     roughness grows (Lagarde and de Rousiers 2014, Listing 21), and its half angle has the tangent `spread` times GGX's
-    alpha. It is an exact ray while it is narrower than a voxel.
+    alpha. A ray finds where it ends, and the levels tell what lies there across the cone's width: a cone that is traced
+    through the levels as a whole brings light from behind walls (living room: 40 % more error).
     """
     out = np.zeros((position.shape[0], 3), np.float32)
     for m in prange(position.shape[0]):
@@ -177,8 +178,19 @@ def gather_reflections(position, normal, to_viewer, roughness, walk, levels, rad
         mirror = sub(scaled(n, f32(2) * dot(n, v)), v)
         lean = (ONE - alpha) * (math.sqrt(max(ONE - alpha, ZERO)) + alpha)
         d = normalized_or(along(scaled(n, ONE - lean), mirror, lean), n)
-        tangent = max(spread * alpha, f32(1e-4))
-        if dot(d, n) > ZERO:
-            out[m, 0], out[m, 1], out[m, 2] = cone_radiance(walk, levels, radiance, lobes, sky, p, n, d, HALF_VOXEL / tangent,
-                                                            tangent)
+        if dot(d, n) <= ZERO:
+            continue
+        o = along(p, n, LIFT)
+        t, row, side = first_surface(walk, o, d, n, f32(1e30))
+        if row < 0:
+            continue
+        red, green, blue = seen_radiance(radiance, lobes, row, side, d)
+        width = f32(2) * t * spread * alpha
+        if width > ONE:
+            cover, r, g, b = blurred(levels, along(o, d, t), d, width)
+            share = min(width - ONE, ONE) if cover > ZERO else ZERO
+            rcp = ONE / max(cover, f32(1e-20))
+            red, green, blue = (red + share * (r * rcp - red), green + share * (g * rcp - green),
+                                blue + share * (b * rcp - blue))
+        out[m, 0], out[m, 1], out[m, 2] = red, green, blue
     return out

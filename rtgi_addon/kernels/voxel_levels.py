@@ -143,6 +143,21 @@ def _sample(levels, level, p, d):
 
 
 @device_jit
+def blurred(levels, p, d, width):
+    """(coverage, red, green, blue) around p, in cells, that a cone `width` cells across along d reads: from two levels."""
+    top, level = levels.shape.shape[0] - 1, 0
+    size = max(width / CELLS_ACROSS, ONE)
+    while level < top and size >= f32(2 << level):
+        level += 1
+    upper = min(max(math.log2(size) - f32(level), ZERO), ONE) if level < top else ZERO
+    a, r, g, b = _sample(levels, level, p, d)
+    if upper > ZERO:
+        more, more_r, more_g, more_b = _sample(levels, level + 1, p, d)
+        a, r, g, b = a + upper * (more - a), r + upper * (more_r - r), g + upper * (more_g - g), b + upper * (more_b - b)
+    return a, r, g, b
+
+
+@device_jit
 def trace_cone(levels, o, d, start, tangent, reach):
     """(red, green, blue, visibility) of a cone from o along the unit vector d, between t = `start` and `reach` in cells.
 

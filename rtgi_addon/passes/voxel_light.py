@@ -24,8 +24,8 @@ from ..kernels.clusters import DIFFUSE, GLOSSY
 from ..kernels.vec3 import f32
 from ..kernels.voxel_gather import L_ALPHA2, L_LAST, L_NORMAL, L_TO_LIGHT, LOBE_COLUMNS, SIDE_COLUMNS
 from ..kernels.voxel_levels import Levels, fill_level0, fill_parents, mark_parents
-from ..kernels.voxel_rays import LOBE_SUMS, add_texels, find_sides
-from .rsm import texel_table
+from ..kernels.voxel_rays import LOBE_SUMS, add_texels, find_sides, measure_texels
+from .rsm import is_reflecting, texel_table
 from .voxel_scene import VoxelScene
 
 GOOD_SCORE = 0.5            # alignment less distance in cells at which a texel's own cell is not doubted
@@ -57,35 +57,31 @@ def side_areas(scene: VoxelScene) -> np.ndarray:
 def light_voxels(frame: Frame, scene: VoxelScene, use_glossy: bool = True) -> LitVoxels:
     """The light pass: light of the lamps, reflected once, on every side of the voxels.
 
-    Holds exactly: the flux that the sides send is what the texels on them reflect, up to rounding; linear in the lamps'
-    power. Ignores that the lamps light one part of a voxel's side and not another.
+    A texel's flux is spread over its footprint, or texels larger than voxels would leave holes between bright spots. Holds
+    exactly: the flux that the sides send is what the texels on them reflect, up to rounding; linear in the lamps' power. Ignores
+    that the lamps light one part of a voxel's side and not another.
     """
     number, area_m2 = 6 * len(scene), side_areas(scene)
     diffuse, of_side, lobes = np.zeros((number, 3), np.float32), [], []
     flux_w, lost_w = np.zeros(3), np.zeros(3)
-    for index in range(len(frame.views)):
-        table = texel_table(_with_view(frame, index), use_glossy)
-        sides = find_sides(scene.walk, np.array(scene.grid.shape), table, np.asarray(scene.grid.origin_ws, np.float64),
-                           1.0 / scene.grid.cell_m, f32(GOOD_SCORE))
+    origin, rcp_cell = np.array(scene.grid.origin_ws), 1.0 / scene.grid.cell_m
+    for index, view in enumerate(frame.views):
+        table = texel_table(dataclasses.replace(frame, views=frame.views[index:index + 1]), use_glossy)
+        texels = np.flatnonzero(is_reflecting(view, frame.lights[view.light_index], use_glossy))
+        edges, parts = measure_texels(view.gbuffer.position_ws, view.gbuffer.normal_ws, texels, f32(rcp_cell))
+        first = np.concatenate([[0], np.cumsum(parts.prod(1))])
+        sides = find_sides(scene.walk, np.array(scene.grid.shape), table, edges, parts, first, origin, rcp_cell, f32(GOOD_SCORE))
         sums = np.zeros((number if use_glossy else 0, LOBE_SUMS), np.float32)
-        add_texels(table, sides, diffuse, sums)
+        lost_w += add_texels(table, sides, first, diffuse, sums)
         glossy = np.flatnonzero(sums[:, -1])
         of_side.append(glossy)
         lobes.append(_mean_lobes(sums[glossy], area_m2[glossy]))
-        lost = sides < 0
-        for rows in (DIFFUSE, GLOSSY):
-            flux_w += table[rows:rows + 3].sum(1, dtype=np.float64)
-            lost_w += table[rows:rows + 3, lost].sum(1, dtype=np.float64)
+        flux_w += table[DIFFUSE:DIFFUSE + 3].sum(1, dtype=np.float64) + table[GLOSSY:GLOSSY + 3].sum(1, dtype=np.float64)
     radiance = np.zeros((len(scene), 6, SIDE_COLUMNS), np.float32)
     flat = radiance.reshape(-1, SIDE_COLUMNS)
     lit = np.flatnonzero(diffuse.any(1))
     flat[lit, :3] = diffuse[lit] / (np.float32(np.pi) * area_m2[lit, None])
     return LitVoxels(radiance, _list_lobes(flat, of_side, lobes), flux_w, lost_w)
-
-
-def _with_view(frame: Frame, index: int) -> Frame:
-    """The frame with one of its light views only."""
-    return dataclasses.replace(frame, views=frame.views[index:index + 1])
 
 
 def _mean_lobes(sums: np.ndarray, area_m2: np.ndarray) -> np.ndarray:

@@ -35,7 +35,7 @@ from .world import shrink_map
 
 AIMED_SHARE = 0.5           # of the rays of a gather that looks for emissive surfaces: small lamps are rarely met by chance
 INTERLEAVE = 8              # lattice points along each edge of a block that share one low-discrepancy sequence
-GLOSSY_SPREAD = 1.0         # tangent of a glossy cone's half angle over GGX's alpha
+GLOSSY_SPREAD = 1.5         # tangent of a glossy cone's half angle over GGX's alpha: least error of 0.35 to 1.5 on four of five
 NO_TARGETS = (np.zeros(0, np.int32), np.zeros(0))
 BLACK_SKY = np.zeros((1, 1, 3), np.float32)
 
@@ -143,8 +143,7 @@ def _glossy(frame: Frame, scene: VoxelScene, lit: LitVoxels, levels: Levels, con
         to_viewer = to_viewer / np.maximum(np.linalg.norm(to_viewer, axis=1, keepdims=True), 1e-30)
     context.checkpoint("Reflections", 0.9)
     radiance = gather_reflections(scene.grid.to_cells(position), g.normal_ws[shiny], np.ascontiguousarray(to_viewer, np.float32),
-                                  g.roughness[shiny], scene.walk, levels, lit.radiance, lit.lobes, BLACK_SKY,
-                                  f32(GLOSSY_SPREAD))
+                                  g.roughness[shiny], scene.walk, levels, lit.radiance, lit.lobes, f32(GLOSSY_SPREAD))
     out[shiny] = radiance * g.specular[shiny]
     return out
 

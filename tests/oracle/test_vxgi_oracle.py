@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Geometry, LightKind
+from rtgi_addon.core.frame import Frame, Geometry, LightKind
 from rtgi_addon.core.synthetic import box_triangles, make_room_frame
 from rtgi_addon.core.techniques import VxgiParams
 from rtgi_addon.kernels.vec3 import f32
@@ -60,23 +60,54 @@ def test_first_surfaces_are_those_of_every_surface_asked():
     assert np.median([abs(wanted[i][0] - t[i]) for i in same]) < QUANTA
 
 
-def test_light_pass_sends_the_texels_flux_over_pi_and_area():
-    frame = make_room_frame(48, 36, (LightKind.SPOT,), light_radius_m=0.0)
-    scene = voxel_scene(frame.geometry, grid_of_frame(frame, Context(), 24))
-    lit = light_voxels(frame, scene, use_glossy=False)
-    view = frame.views[0]
-    reflected = view.incident_flux.astype(np.float64) * view.gbuffer.albedo
+def flux_over_area(frame: Frame, scene: VoxelScene, spread: int) -> np.ndarray:
+    """(V, 6, 3) radiance of the sides: each texel's flux in spread^2 parts over its pixel's footprint, cut by the camera's rays."""
+    (view,) = frame.views
+    g, camera = view.gbuffer, view.camera
+    reflected = view.incident_flux.astype(np.float64) * g.albedo
     sums = np.zeros((len(scene), 6, 3))
-    for i, j in np.argwhere(view.gbuffer.mask):
-        cell = tuple(np.floor(scene.grid.to_cells(view.gbuffer.position_ws[i, j])).astype(int))
-        n = view.gbuffer.normal_ws[i, j]
+    columns, rows = camera.pixel_centres()
+    step_x, step_y = camera.pixel_size
+    eye, rotation = camera.position_ws, camera.world_from_view[:3, :3]
+    within = (np.arange(spread) + 0.5) / spread - 0.5
+    for i, j in np.argwhere(g.mask):
+        n, p = g.normal_ws[i, j].astype(np.float64), g.position_ws[i, j].astype(np.float64)
         axis = int(np.argmax(np.abs(n)))
-        sums[scene.voxels.index[cell], 2 * axis + int(n[axis] < 0)] += reflected[i, j]
+        for a in within:
+            for b in within:
+                ray = rotation @ [columns[j] + a * step_x, rows[i] + b * step_y, -1.0]
+                point = eye + ray * (n @ (p - eye)) / (n @ ray)
+                row = row_at(scene, point)
+                row = row if row >= 0 else row_at(scene, p)
+                sums[row, 2 * axis + int(n[axis] < 0)] += reflected[i, j] / spread**2
     area = scene.voxels.areas.astype(np.float64)[:, np.arange(6) // 2, None] * scene.grid.cell_m**2
-    wanted = np.where(area > 0, sums / (np.pi * np.maximum(area, 1e-30)), 0)
+    return np.where(area > 0, sums / (np.pi * np.maximum(area, 1e-30)), 0)
+
+
+def row_at(scene: VoxelScene, point: np.ndarray) -> int:
+    cell = np.floor((point - np.array(scene.grid.origin_ws)) / scene.grid.cell_m).astype(int)
+    inside = (cell >= 0).all() and (cell < scene.grid.shape).all()
+    return int(scene.voxels.index[tuple(cell)]) if inside else -1
+
+
+def by_brick(scene: VoxelScene, radiance: np.ndarray) -> np.ndarray:
+    """Power over pi of the sides, summed over bricks of 4x4x4 cells."""
+    power = radiance * scene.voxels.areas[:, np.arange(6) // 2, None]
+    out = np.zeros((*(-(-n // 4) for n in scene.grid.shape), 6, 3))
+    np.add.at(out, tuple(scene.voxels.cells.T // 4), power)
+    return out
+
+
+@pytest.mark.parametrize(("width", "parts", "tolerance"), [(64, 4, 0.08), (20, 8, 0.15)])
+def test_light_pass_sends_the_texels_flux_over_pi_and_area(width, parts, tolerance):
+    # texels of half a voxel, and of one and a half; those at the edge of what a view sees have no neighbour to tell their size
+    frame = make_room_frame(width, width * 3 // 4, (LightKind.SPOT,), light_radius_m=0.0)
+    scene = voxel_scene(frame.geometry, grid_of_frame(frame, Context(), 24))
+    got, wanted = light_voxels(frame, scene, use_glossy=False).radiance[..., :3], flux_over_area(frame, scene, parts)
     assert wanted.max() > 0
-    # float32 sums of a few dozen texels; a texel on a border of cells may go to either
-    assert (np.abs(lit.radiance[..., :3] - wanted) > 1e-4 * wanted.max()).mean() < 2e-3
+    # parts are half a voxel apart, so a voxel gets one more or one less than its neighbour: a brick tells the level
+    assert np.abs(by_brick(scene, got) - by_brick(scene, wanted)).sum() < tolerance * by_brick(scene, wanted).sum()
+    assert np.isclose(by_brick(scene, got).sum(), by_brick(scene, wanted).sum(), rtol=1e-3)
 
 
 def test_levels_equal_dense_ones_built_front_to_back():
