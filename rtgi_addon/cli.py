@@ -469,8 +469,8 @@ def _add_render(commands: Any) -> None:
     parser.add_argument("--threads", type=_count, metavar="N", help="threads for Cycles and RTGI; all if left out")
     parser.add_argument("--seed", type=int, metavar="N", help="another number gives another pattern of noise")
     parser.add_argument("--passes", type=Path, metavar="PASSES.exr",
-                        help="composite, every kind of light and visibility as layers (diffuse light as irradiance, W/m2), and\n"
-                             "what techniques draw of themselves (--set vxgi.pictures=on)")
+                        help="composite, every kind of light and visibility as layers (diffuse light as irradiance, W/m2), "
+                             "and what techniques draw of themselves (--set vxgi.pictures=on)")
     parser.add_argument("--report", type=Path, metavar="R.json", help="plan, stage times, memory, versions and warnings")
     parser.set_defaults(run=run_render)
 

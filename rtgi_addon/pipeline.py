@@ -63,6 +63,7 @@ class Result:
     transports: dict[Transport, np.ndarray]
     visibility: np.ndarray
     report: dict[str, Any] = field(default_factory=dict)
+    pictures: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def peak_memory_mb() -> float:

@@ -21,7 +21,7 @@ def room(shape: tuple[int, int, int], *meshes: np.ndarray) -> VoxelScene:
 
 
 def medium(shape: tuple[int, int, int], low: int, high: int, coverage: float) -> VoxelScene:
-    """Layers low <= z < high of voxels that each hide the share `coverage` of their face along z, and nothing along x and y."""
+    """Layers low <= z < high of voxels that each hide the share `coverage` of their face along z, nothing along x and y."""
     index = np.full(shape, -1, np.int32)
     cells = np.argwhere(np.broadcast_to((np.arange(shape[2]) >= low) & (np.arange(shape[2]) < high), shape)).astype(np.int32)
     index[tuple(cells.T)] = np.arange(len(cells))
@@ -43,8 +43,8 @@ def lit(scene: VoxelScene, radiance: float | np.ndarray = 1.0) -> LitVoxels:
     return LitVoxels(out, np.zeros((0, LOBE_COLUMNS), np.float32), np.zeros(3), np.zeros(3))
 
 
-def gathered(scene: VoxelScene, light: LitVoxels, position: np.ndarray, normal: np.ndarray, exact: float = EXACT, cones: int = 512,
-             sky: float = 0.0) -> np.ndarray:
+def gathered(scene: VoxelScene, light: LitVoxels, position: np.ndarray, normal: np.ndarray, exact: float = EXACT,
+             cones: int = 512, sky: float = 0.0) -> np.ndarray:
     """(M,) irradiance over pi (one colour) at points in cells; `sky` is the radiance of the world."""
     position, normal = np.ascontiguousarray(position, np.float32), np.ascontiguousarray(normal, np.float32)
     out = gather_voxels(position, normal, np.arange(len(position)), scene.walk, scene.voxels.cells, levels_of(scene, light),

@@ -83,8 +83,8 @@ class VxgiParams(Params):
     cones: int = param(
         32, "Cones from each gather point; noise falls, and time rises, with their number", low=1, high=1024, soft_high=256)
     exact_voxels: int = param(
-        1024, "Voxels that a cone is followed as an exact ray before it widens; 0 is the method as published, which blurs light "
-              "through walls", low=0, high=1024)
+        1024, "Voxels that a cone is followed as an exact ray before it widens; 0 is the method as published, which blurs "
+              "light through walls", low=0, high=1024)
     glossy_voxels: bool = param(
         True, "Lit voxels send out their glossy lobe too; without it part of the bounce is missing")
     solid: bool = param(

@@ -21,7 +21,7 @@ from .vec3 import ONE, ZERO, along, f32, load
 from .voxels import axis_coverage
 
 STEP = f32(0.5)             # of a cell, between the samples of a cone; half of it changes walls by less than 1 %
-CELLS_ACROSS = f32(2)       # of the level that a cone reads: interpolated cells have half of a disk's spread at this diameter
+CELLS_ACROSS = f32(2)       # of a level in a cone's diameter: two interpolated cells have about the spread of a disk
 HALF = f32(0.5)
 FAR = f32(1e30)
 # a wall seen while the cone goes from level to level may add up to HOLDS: what is above THIN is stretched to reach 1 there
@@ -32,8 +32,8 @@ class Levels(NamedTuple):
     """All levels, as kernels take them; level 0 are the voxels, rows of the tables come level after level.
 
     index (sum of cells,) int32: row of each cell of each level, -1 where it is empty; first (L,) int64: where a
-    level's cells begin in it; shape (L, 3) int64: its cells along x, y, z. coverage (N, 3) float32; light (N, 6, 3) float32: radiance
-    times coverage towards a viewer on the side +x, -x, +y, ...
+    level's cells begin in it; shape (L, 3) int64: its cells along x, y, z. coverage (N, 3) float32; light (N, 6, 3)
+    float32: radiance times coverage towards a viewer on the side +x, -x, +y, ...
     """
 
     index: np.ndarray
@@ -63,11 +63,11 @@ def fill_level0(planes, areas, radiance, coverage, light):
                         light[row, 2 * axis + viewer, c] /= total
 
 
-@pixel_jit
+@device_jit
 def mark_parents(children, parents):
     """Set parents (px, py, pz) int32 to 0 where any of the eight cells of `children` below has a row, in place."""
     nx, ny, nz = children.shape
-    for x in prange(parents.shape[0]):
+    for x in range(parents.shape[0]):
         for i in range(2 * x, min(2 * x + 2, nx)):
             for j in range(ny):
                 for k in range(nz):
@@ -203,7 +203,8 @@ def cast_cones(levels, origin, direction, tangent):
     """(N, 4) float32: `trace_cone` from (N, 3) points, in cells, along (N, 3) unit vectors; tangent of the half angle."""
     out = np.empty((origin.shape[0], 4), np.float32)
     for i in prange(origin.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = trace_cone(levels, load(origin, i), load(direction, i), ZERO, tangent, FAR)
+        o, d = load(origin, i), load(direction, i)
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = trace_cone(levels, o, d, ZERO, tangent, FAR)
     return out
 
 

@@ -97,8 +97,9 @@ class Context:
         from .voxel_scene import voxel_scene
 
         before, its_grid, scene = self._voxels
-        if before is None or its_grid != grid or not (before is geometry or all(
-                np.array_equal(getattr(before, name), getattr(geometry, name)) for name in ("corners_ws", "albedo", "emission"))):
+        same = before is geometry or (before is not None and all(
+            np.array_equal(getattr(before, name), getattr(geometry, name)) for name in ("corners_ws", "albedo", "emission")))
+        if not same or its_grid != grid:
             scene = voxel_scene(geometry, grid)
         self._voxels = geometry, grid, scene
         return scene

@@ -1,10 +1,11 @@
 """Light in the voxels: what each side of their surfaces sends, and the hierarchy over it.
 
-The light pass of voxel cone tracing [1, section 5]: every texel of the light views, a small lamp as in reflective shadow maps,
-adds its reflected flux to the side of the voxel surface that it lies on. A side of area A that reflects the flux Phi sends
+The light pass of voxel cone tracing [1, section 5]: every texel of the light views, a small lamp as in reflective shadow
+maps, adds its reflected flux to the sides of the voxel surfaces that it lies on. A side of area A that reflects the flux Phi
+sends
     L = Phi / (pi A)
-in all directions; its glossy lobe is kept beside it, one for each light view. So the flux that the views caught is the flux that
-the voxels send. The hierarchy joins eight children to one, apart for each of six directions [1, section 4].
+in all directions; its glossy lobe is kept beside it, one for each light view. So the flux that the views caught is the flux
+that the voxels send. The hierarchy joins eight children to one, apart for each of six directions [1, section 4].
 
 References
 ----------
@@ -24,7 +25,7 @@ from ..kernels.clusters import DIFFUSE, GLOSSY
 from ..kernels.vec3 import f32
 from ..kernels.voxel_gather import L_ALPHA2, L_LAST, L_NORMAL, L_TO_LIGHT, LOBE_COLUMNS, SIDE_COLUMNS
 from ..kernels.voxel_levels import Levels, fill_level0, fill_parents, mark_parents
-from ..kernels.voxel_rays import LOBE_SUMS, add_texels, find_sides, measure_texels
+from ..kernels.voxel_texels import LOBE_SUMS, add_texels, find_sides, measure_texels
 from .rsm import is_reflecting, texel_table
 from .voxel_scene import VoxelScene
 
@@ -35,8 +36,8 @@ GOOD_SCORE = 0.5            # alignment less distance in cells at which a texel'
 class LitVoxels:
     """What the sides of the voxels send.
 
-    radiance (V, 6, SIDE_COLUMNS) float32 and lobes (G, LOBE_COLUMNS) float32 as in `kernels.voxel_gather`; flux_w (3,) float64:
-    what was to be sent; lost_w (3,) float64: the part of it that lay on no voxel.
+    radiance (V, 6, SIDE_COLUMNS) float32 and lobes (G, LOBE_COLUMNS) float32 as in `kernels.voxel_gather`; flux_w (3,)
+    float64: what was to be sent; lost_w (3,) float64: the part of it that lay on no voxel.
     """
 
     radiance: np.ndarray
@@ -57,20 +58,19 @@ def side_areas(scene: VoxelScene) -> np.ndarray:
 def light_voxels(frame: Frame, scene: VoxelScene, use_glossy: bool = True) -> LitVoxels:
     """The light pass: light of the lamps, reflected once, on every side of the voxels.
 
-    A texel's flux is spread over its footprint, or texels larger than voxels would leave holes between bright spots. Holds
-    exactly: the flux that the sides send is what the texels on them reflect, up to rounding; linear in the lamps' power. Ignores
-    that the lamps light one part of a voxel's side and not another.
+    Holds exactly: the flux that the sides send is what the texels on them reflect, up to rounding; linear in the lamps'
+    power. Ignores that the lamps light one part of a voxel's side and not another.
     """
     number, area_m2 = 6 * len(scene), side_areas(scene)
     diffuse, of_side, lobes = np.zeros((number, 3), np.float32), [], []
     flux_w, lost_w = np.zeros(3), np.zeros(3)
-    origin, rcp_cell = np.array(scene.grid.origin_ws), 1.0 / scene.grid.cell_m
+    shape, origin, rcp_cell = np.array(scene.grid.shape), np.array(scene.grid.origin_ws), 1.0 / scene.grid.cell_m
     for index, view in enumerate(frame.views):
         table = texel_table(dataclasses.replace(frame, views=frame.views[index:index + 1]), use_glossy)
         texels = np.flatnonzero(is_reflecting(view, frame.lights[view.light_index], use_glossy))
         edges, parts = measure_texels(view.gbuffer.position_ws, view.gbuffer.normal_ws, texels, f32(rcp_cell))
         first = np.concatenate([[0], np.cumsum(parts.prod(1))])
-        sides = find_sides(scene.walk, np.array(scene.grid.shape), table, edges, parts, first, origin, rcp_cell, f32(GOOD_SCORE))
+        sides = find_sides(scene.walk, shape, table, edges, parts, first, origin, rcp_cell, f32(GOOD_SCORE))
         sums = np.zeros((number if use_glossy else 0, LOBE_SUMS), np.float32)
         lost_w += add_texels(table, sides, first, diffuse, sums)
         glossy = np.flatnonzero(sums[:, -1])
@@ -118,8 +118,8 @@ def emissive_voxels(scene: VoxelScene) -> LitVoxels:
 
 def dark_voxels(scene: VoxelScene) -> LitVoxels:
     """Voxels that send nothing, and only stand in the way."""
-    return LitVoxels(np.zeros((len(scene), 6, SIDE_COLUMNS), np.float32), np.zeros((0, LOBE_COLUMNS), np.float32), np.zeros(3),
-                     np.zeros(3))
+    radiance, no_lobes = np.zeros((len(scene), 6, SIDE_COLUMNS), np.float32), np.zeros((0, LOBE_COLUMNS), np.float32)
+    return LitVoxels(radiance, no_lobes, np.zeros(3), np.zeros(3))
 
 
 def aim_at(scene: VoxelScene, lit: LitVoxels) -> tuple[np.ndarray, np.ndarray]:

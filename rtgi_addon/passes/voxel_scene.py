@@ -15,7 +15,19 @@ from ..core.frame import Frame, Geometry
 from ..kernels.pilot import cast_rays
 from ..kernels.vec3 import f32
 from ..kernels.voxel_levels import flood
-from ..kernels.voxel_rays import BRICK, ROW_WORDS, VoxelWalk, fill_bricks, fill_clearance, pack_rows
+from ..kernels.voxel_rays import (
+    BRICK,
+    HALF_UNIT,
+    ROW_WORDS,
+    SLOT_WORDS,
+    UNIT,
+    W_BOX,
+    W_MASK,
+    W_OFFSET,
+    VoxelWalk,
+    fill_bricks,
+    fill_clearance,
+)
 from ..kernels.voxels import SUMS, Voxels, fill_coverage, finish_voxels, list_cells, list_entries, slice_spans, visit_slices
 from .base import Context
 
@@ -178,9 +190,18 @@ def walk_of(voxels: Voxels) -> VoxelWalk:
     bits, first = np.zeros(shape, np.uint64), np.zeros(shape, np.int32)
     fill_bricks(voxels.cells, bits, first)
     fill_clearance(bits, first)
+    return VoxelWalk(bits, first, packed_rows(voxels))
+
+
+def packed_rows(voxels: Voxels) -> np.ndarray:
+    """`VoxelWalk.rows` of the voxels."""
     rows = np.zeros((len(voxels.cells), ROW_WORDS), np.int16)
-    pack_rows(voxels.planes, voxels.masks, voxels.boxes, rows)
-    return VoxelWalk(bits, first, rows)
+    slots = rows[:, :3 * SLOT_WORDS].reshape(-1, 3, SLOT_WORDS)
+    slots[..., :W_OFFSET] = np.rint(voxels.planes[..., :3] * UNIT)
+    slots[..., W_OFFSET] = np.rint(voxels.planes[..., 3] * HALF_UNIT)
+    slots[..., W_MASK] = voxels.masks.view(np.int16)
+    slots[..., W_BOX:] = (voxels.boxes[..., :3] | voxels.boxes[..., 3:].astype(np.uint16) << 8).view(np.int16)
+    return rows
 
 
 def voxel_scene(geometry: Geometry, grid: Grid) -> VoxelScene:

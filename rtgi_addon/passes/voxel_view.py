@@ -19,7 +19,7 @@ FAR = f32(1e30)
 
 
 def voxel_pictures(frame: Frame, scene: VoxelScene, lit: LitVoxels, levels: Levels) -> dict[str, np.ndarray]:
-    """(H, W, 3) float32 each: "albedo" and "light" of the voxel surface at each pixel, and "cones", one through the levels."""
+    """(H, W, 3) float32 each: "albedo" and "light" of the voxel surface at each pixel; "cones", one through the levels."""
     origin_vs, direction_vs = frame.camera.rays_vs()
     rotation, shape = frame.camera.world_from_view[:3, :3], origin_vs.shape
     origin = scene.grid.to_cells(origin_vs.reshape(-1, 3) @ rotation.T + frame.camera.position_ws)
@@ -36,7 +36,7 @@ def voxel_pictures(frame: Frame, scene: VoxelScene, lit: LitVoxels, levels: Leve
 
 
 def slice_picture(scene: VoxelScene, lit: LitVoxels, axis: int, at: int) -> np.ndarray:
-    """(rows, columns, 3) float32: mean radiance of the six sides of each voxel in layer `at` along `axis`; empty ones are black.
+    """(rows, columns, 3) float32: mean radiance of the six sides of the voxels in layer `at` along `axis`; black if empty.
 
     Columns go along the next of the axes x, y, z, x, .., rows along the one after it, from the top down.
     """

@@ -44,7 +44,7 @@ def test_furnace_gives_one_for_every_normal(method):
 @pytest.mark.parametrize("method", METHODS)
 def test_furnace_gives_one_on_its_walls(method):
     scene = room((24, 20, 16), BOX)
-    points = np.array([(1.3, 9.0, 8.0), (22.7, 5.0, 3.0), (12.0, 1.6, 7.0), (12.0, 18.4, 7.0), (6.0, 6.0, 1.2), (6.0, 6.0, 14.6)])
+    points = np.array([(1.3, 9, 8), (22.7, 5, 3), (12, 1.6, 7), (12, 18.4, 7), (6, 6, 1.2), (6, 6, 14.6)])
     normals = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1.0)])
     assert np.abs(gathered(scene, lit(scene), points, normals, METHODS[method]) - 1).max() < FURNACE
 
@@ -115,9 +115,9 @@ def test_what_a_medium_lets_through_does_not_depend_on_levels_and_steps(coverage
 
 def test_no_light_comes_through_a_wall_thinner_than_a_voxel():
     # two rooms of 20x20x20 cells side by side, 0.3 of a cell between them, turned against the grid; all in one is lit
-    walls = turned(np.concatenate([box_triangles(np.full(3, 10.0), np.array([30.0, 30.0, 30.0])),
-                                   box_triangles(np.array([30.3, 10.0, 10.0]), np.array([50.3, 30.0, 30.0]))]), 0.31, (32, 32))
-    scene = room((64, 64, 40), walls)
+    one = box_triangles(np.full(3, 10.0), np.array([30.0, 30.0, 30.0]))
+    other = box_triangles(np.array([30.3, 10.0, 10.0]), np.array([50.3, 30.0, 30.0]))
+    scene = room((64, 64, 40), turned(np.concatenate([one, other]), 0.31, (32, 32)))
     voxels = scene.voxels
     # a side is lit if a point in front of it lies in the first room
     front = np.repeat(voxels.cells[:, None] + 0.5, 6, axis=1).astype(float)
@@ -129,7 +129,8 @@ def test_no_light_comes_through_a_wall_thinner_than_a_voxel():
     normal = np.array([math.cos(0.31), math.sin(0.31), 0.0])
 
     def seen(points: list[tuple[float, float, float]], n: np.ndarray) -> np.ndarray:
-        return gathered(scene, light, turned(np.array([points]), 0.31, (32, 32))[0], np.tile(n, (len(points), 1)), cones=1024)
+        places = turned(np.array([points]), 0.31, (32, 32))[0]
+        return gathered(scene, light, places, np.tile(n, (len(points), 1)), cones=1024)
 
     for n in (normal, -normal):
         assert seen([(20.0, 20.0, 20.0), (29.0, 28.0, 28.0), (11.0, 20.0, 12.0)], n).min() > 0.97
@@ -142,7 +143,8 @@ def test_no_light_comes_through_a_wall_thinner_than_a_voxel():
 def shining_disk(radius: float, height: float, radiance: float) -> Geometry:
     """A floor of 8 m and a disk over it that shines: 48 triangles, as large as the circle."""
     angle = np.linspace(0, 2 * np.pi, 49)
-    rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(49)], 1) * radius / math.sqrt(math.sin(2 * np.pi / 48) * 24 / np.pi)
+    rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(49)], 1) * radius
+    rim /= math.sqrt(math.sin(2 * np.pi / 48) * 24 / np.pi)
     disk = np.array([[np.zeros(3), rim[i], rim[i + 1]] for i in range(48)]) + [0, 0, height]
     floor = quad((0, 0, 0), 4.0, 4.0)
     geometry = geometry_of(floor, disk)

@@ -50,7 +50,8 @@ def test_first_surfaces_are_those_of_every_surface_asked():
     scene = boxes_scene()
     origin, direction = rays(400)
     t, row, side = cast_voxel_rays(scene.walk, origin, direction, np.zeros_like(origin), f32(1e6))
-    wanted = [oracle.first_hit(scene.voxels, o.astype(float), d.astype(float)) for o, d in zip(origin, direction, strict=True)]
+    pairs = zip(origin.astype(float), direction.astype(float), strict=True)
+    wanted = [oracle.first_hit(scene.voxels, *ray) for ray in pairs]
     wrong = [i for i, (at, r, s) in enumerate(wanted)
              if (r, s) != (row[i], side[i] if r >= 0 else 0) and abs(at - t[i]) > QUANTA / 0.05]
     assert sum(r >= 0 for _, r, _ in wanted) > 40
@@ -61,7 +62,7 @@ def test_first_surfaces_are_those_of_every_surface_asked():
 
 
 def flux_over_area(frame: Frame, scene: VoxelScene, spread: int) -> np.ndarray:
-    """(V, 6, 3) radiance of the sides: each texel's flux in spread^2 parts over its pixel's footprint, cut by the camera's rays."""
+    """(V, 6, 3) radiance of the sides: each texel's flux in spread^2 parts over its pixel's footprint, by camera rays."""
     (view,) = frame.views
     g, camera = view.gbuffer, view.camera
     reflected = view.incident_flux.astype(np.float64) * g.albedo
@@ -100,7 +101,7 @@ def by_brick(scene: VoxelScene, radiance: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("width", "parts", "tolerance"), [(64, 4, 0.08), (20, 8, 0.15)])
 def test_light_pass_sends_the_texels_flux_over_pi_and_area(width, parts, tolerance):
-    # texels of half a voxel, and of one and a half; those at the edge of what a view sees have no neighbour to tell their size
+    # texels of half a voxel, and of one and a half; those at a silhouette have no neighbour to tell their size
     frame = make_room_frame(width, width * 3 // 4, (LightKind.SPOT,), light_radius_m=0.0)
     scene = voxel_scene(frame.geometry, grid_of_frame(frame, Context(), 24))
     got, wanted = light_voxels(frame, scene, use_glossy=False).radiance[..., :3], flux_over_area(frame, scene, parts)

@@ -34,7 +34,7 @@ def first_hit(voxels: Voxels, origin: np.ndarray, direction: np.ndarray) -> tupl
 
 def irradiance(voxels: Voxels, radiance: np.ndarray, position: np.ndarray, normal: np.ndarray, number: int,
                lift: float) -> np.ndarray:
-    """(3,) W/m2 at a point in cells: first hits' radiance over directions of a Fibonacci lattice, even in the cosine's measure.
+    """(3,) W/m2 at a point in cells: first hits' radiance over a Fibonacci lattice of directions, even by cosine.
 
     (A grid of polar angles lines up with walls along the axes: 24x24 directions are wrong by a fifth there.)
     """
