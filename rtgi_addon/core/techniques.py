@@ -88,7 +88,8 @@ class VxgiParams(Params):
     glossy_voxels: bool = param(
         True, "Lit voxels send out their glossy lobe too; without it part of the bounce is missing")
     solid: bool = param(
-        False, "Fill closed bodies, so that widened cones do not see light through them; exact rays need it not")
+        False, "Fill closed bodies, so that widened cones do not see light through them; dims faces beside them, and exact "
+               "rays need it not")
     world_light: bool = param(
         False, "Cones that leave the voxels bring the world's light, in place of the rays of World Light")
     glossy: bool = param(
