@@ -32,7 +32,7 @@ def medium(shape: tuple[int, int, int], low: int, high: int, coverage: float) ->
     areas[:, 2] = coverage
     boxes = np.tile(np.uint8([0, 0, 0, 255, 255, 255]), (len(cells), 3, 1))
     colours = np.zeros((len(cells), 3, 3), np.float32)
-    voxels = Voxels(index, cells, planes, masks, boxes, areas, colours, colours)
+    voxels = Voxels(index, cells, planes, masks, boxes, areas, areas, np.ones_like(areas), colours, colours)
     return VoxelScene(Grid((0.0, 0.0, 0.0), 1.0, shape), voxels, walk_of(voxels))
 
 

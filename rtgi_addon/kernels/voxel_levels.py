@@ -44,15 +44,18 @@ class Levels(NamedTuple):
 
 
 @pixel_jit
-def fill_level0(planes, areas, radiance, coverage, light):
-    """Coverage (V, 3) and light (V, 6, 3) of the voxels from their slots, in place; radiance (V, 6, ..) by side."""
+def fill_level0(planes, areas, seen, radiance, coverage, light):
+    """Coverage (V, 3) and light (V, 6, 3) of the voxels from their slots, in place.
+
+    Light is the flux of the sides, radiance (V, 6, ..) times the area `seen`; coverage is by the true area.
+    """
     for row in prange(planes.shape[0]):
         for axis in range(3):
             coverage[row, axis] = axis_coverage(planes, areas, row, axis)
             total = ZERO
             for slot in range(3):
-                share = areas[row, slot] * planes[row, slot, axis]
-                total += abs(share)
+                share = seen[row, slot] * planes[row, slot, axis]
+                total += areas[row, slot] * abs(planes[row, slot, axis])
                 for viewer in range(2):
                     side = 2 * slot + (viewer if share >= ZERO else 1 - viewer)
                     for c in range(3):

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .jit import device_jit, pixel_jit, prange
+from .sampling import uniform
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, sub
 from .voxels import BOX_STEPS, MASK_SIDE
 
@@ -28,7 +29,7 @@ SEAM = f32(0.1)             # cells that a seam between two planes may lie outsi
 FAR = f32(1e20)
 UNIT, HALF_UNIT = f32(32767), f32(16383)                # an offset may be up to the voxel's diagonal, 1.73
 RCP_UNIT, RCP_HALF_UNIT, BOX_STEP = f32(1 / 32767), f32(1 / 16383), f32(1 / BOX_STEPS)
-SLOT_WORDS, W_OFFSET, W_MASK, W_BOX, ROW_WORDS = 8, 3, 4, 5, 32
+SLOT_WORDS, W_OFFSET, W_MASK, W_BOX, W_OPACITY, ROW_WORDS = 8, 3, 4, 5, 24, 32
 
 
 class VoxelWalk(NamedTuple):
@@ -37,7 +38,7 @@ class VoxelWalk(NamedTuple):
     bits (bx, by, bz) uint64: a bit for each of a brick's 4x4x4 cells, x fastest; first (bx, by, bz) int32: row of a brick's
     first voxel, or 0 less the distance in bricks to the nearest that holds one. rows (V, 32) int16: by slot eight numbers,
     the plane's normal in steps of 1 / UNIT, its offset in steps of 1 / HALF_UNIT, the mask, the slot's box as three pairs
-    of bytes (lowest, highest).
+    of bytes (lowest, highest); from W_OPACITY on the opacity of the slots in steps of 1 / BOX_STEPS.
     """
 
     bits: np.ndarray
@@ -155,6 +156,13 @@ def _covers(rows, row, slot, p, slack):
 
 
 @device_jit
+def _is_there(rows, row, slot, t):
+    """Does a ray that meets a slot at t meet what is there of it, and not a hole? Drawn by the opacity."""
+    opacity = rows[row, W_OPACITY + slot]
+    return opacity >= BOX_STEPS or uniform(row, int(t * f32(4096)), slot) * f32(BOX_STEPS) < f32(opacity)
+
+
+@device_jit
 def meet_voxel(rows, row, corner, before, before_corner, o, d, n, t_in, t_out):
     """(t, side) of the first surface of voxel `row` that the ray o + t d meets between t_in and t_out; t is FAR for none.
 
@@ -173,7 +181,8 @@ def meet_voxel(rows, row, corner, before, before_corner, o, d, n, t_in, t_out):
         if height * slope < ZERO and abs(height) <= steep * (t_out + SLACK) and abs(height) >= steep * (t_in - SLACK):
             t = abs(height) / steep
             is_own = abs(height) < OWN_DEPTH and t < OWN_REACH and slope * dot(plane, n) > ZERO
-            if not is_own and t < best and _covers(rows, row, slot, along(local, d, t), SLACK):
+            is_hit = not is_own and t < best and _covers(rows, row, slot, along(local, d, t), SLACK)
+            if is_hit and _is_there(rows, row, slot, t):
                 best, side = t, 2 * slot + (1 if slope > ZERO else 0)
             continue
         now = height + slope * t_in

@@ -24,13 +24,13 @@ from .vec3 import f32
 
 MASK_SIDE = 4               # squares of a voxel's face along each edge
 FULL = 65535                # a mask with all 16 squares
-QUARTER = f32(1 / MASK_SIDE)
+QUARTER, HALF = f32(1 / MASK_SIDE), f32(0.5)
 BOX_STEPS = 255             # steps of a voxel's edge in which the boxes of its slots are kept
 MOST_CORNERS = 12           # a triangle cut by six planes has at most nine
 NO_AREA = 1e-10             # twice the area over the longest edge squared of a triangle that is a line to float32
 LEAST_AREA = 1e-9           # cells squared: what rounding may leave of a triangle that only touches a cell
 # columns of the running sums of a slot
-S_AREA, S_NORMAL, S_CENTRE, S_ALBEDO, S_EMISSION, SUMS = 0, 1, 4, 7, 10, 13
+S_AREA, S_NORMAL, S_CENTRE, S_ALBEDO, S_EMISSION, S_OPACITY, SUMS = 0, 1, 4, 7, 10, 13, 14
 
 
 class Voxels(NamedTuple):
@@ -43,7 +43,9 @@ class Voxels(NamedTuple):
     masks (V, 3) uint16: by slot, bit 4 row + column for each of the 4x4 squares that the surfaces touch, seen along
     the slot's axis; columns along the next axis (x, y, z, x, ..), rows along the one after it; 0 for an empty slot.
     boxes (V, 3, 6) uint8: by slot, lowest and highest corner of its surfaces in steps of 1 / BOX_STEPS.
-    areas (V, 3) float32: by slot, area of its surfaces in cells squared, surfaces behind each other counted once.
+    areas (V, 3) float32: by slot, area of its surfaces in cells squared, surfaces behind each other counted once, holes of
+    cut-outs taken off; seen (V, 3) float32: the area that rays meet, which mask and box make a little larger at the edges of
+    surfaces; opacity (V, 3) float32 in [0, 1]: by slot, share of its surfaces that is there.
     albedo (V, 3, 3), emission (V, 3, 3) float32: mean of the slot's surfaces, reflectance and W/(m2 sr) of either side.
     """
 
@@ -53,6 +55,8 @@ class Voxels(NamedTuple):
     masks: np.ndarray
     boxes: np.ndarray
     areas: np.ndarray
+    seen: np.ndarray
+    opacity: np.ndarray
     albedo: np.ndarray
     emission: np.ndarray
 
@@ -200,7 +204,7 @@ def _mask_of(poly, level, count, u, v, cell_u, cell_v):
 
 
 @device_jit
-def _add_polygon(poly, level, count, albedo, emission, t, n, axis, cell, row, sums, boxes, masks):
+def _add_polygon(poly, level, count, albedo, emission, opacity, t, n, axis, cell, row, sums, boxes, masks):
     """Add a polygon inside one cell to slot `axis` of voxel `row`; n (3,) is the unit normal with n[axis] > 0."""
     area = 0.0
     cx, cy, cz = 0.0, 0.0, 0.0
@@ -225,6 +229,7 @@ def _add_polygon(poly, level, count, albedo, emission, t, n, axis, cell, row, su
     b0 = max(1.0 - b1 - b2, 0.0)
     s = sums[row, axis]
     s[S_AREA] += f32(area)
+    s[S_OPACITY] += f32(area * opacity[t])
     s[S_CENTRE] += f32(area * (cx - cell[0]))
     s[S_CENTRE + 1] += f32(area * (cy - cell[1]))
     s[S_CENTRE + 2] += f32(area * (cz - cell[2]))
@@ -242,13 +247,13 @@ def _add_polygon(poly, level, count, albedo, emission, t, n, axis, cell, row, su
 
 
 @pixel_jit
-def visit_slices(corners, albedo, emission, origin, rcp_cell, order, starts, entries, turn, is_occupied, index, sums, boxes,
-                 masks, is_marking):
+def visit_slices(corners, albedo, emission, opacity, origin, rcp_cell, order, starts, entries, turn, is_occupied, index,
+                 sums, boxes, masks, is_marking):
     """Cut the listed triangles along the grid: mark the cells that they meet, or add them to the voxels there.
 
-    order (3,): the axis of the slices, then the two within a slice. `turn` (n,) is the order in which slices are taken,
-    spread so that threads share the work. Marking writes `is_occupied` (nx, ny, nz) bool, adding `sums` (V, 3, SUMS)
-    and `boxes` (V, 3, 6) float32 and `masks` (V, 3) uint16 by `index`.
+    opacity (T,) float32; order (3,): the axis of the slices, then the two within a slice. `turn` (n,) is the order in which
+    slices are taken, spread so that threads share the work. Marking writes `is_occupied` (nx, ny, nz) bool, adding `sums`
+    (V, 3, SUMS) and `boxes` (V, 3, 6) float32 and `masks` (V, 3) uint16 by `index`.
     """
     along, across, inner = order[0], order[1], order[2]
     rows, columns = is_occupied.shape[across], is_occupied.shape[inner]
@@ -284,7 +289,7 @@ def visit_slices(corners, albedo, emission, origin, rcp_cell, order, starts, ent
                     in_cell = _between(poly, 2, 4, in_row, inner, np.float64(c))
                     if in_cell >= 3:
                         row = index[cell[0], cell[1], cell[2]]
-                        _add_polygon(poly, 4, in_cell, albedo, emission, t, n, axis, cell, row, sums, boxes, masks)
+                        _add_polygon(poly, 4, in_cell, albedo, emission, opacity, t, n, axis, cell, row, sums, boxes, masks)
 
 
 @device_jit
@@ -322,9 +327,42 @@ def _touched_share(mask, u0, v0, u1, v1):
     return share
 
 
+@device_jit
+def _seen_area(mask, box, plane, axis):
+    """Area of a plane that rays meet in a voxel: where a square of its mask is set and its place is in its box.
+
+    Each square is cut to the box; where the plane leaves the box within it, 16 points tell how much of it is left.
+    """
+    u, v, step = (axis + 1) % 3, (axis + 2) % 3, f32(1 / BOX_STEPS)
+    low_u, high_u, low_v, high_v = f32(box[u]) * step, f32(box[u + 3]) * step, f32(box[v]) * step, f32(box[v + 3]) * step
+    low, high = f32(box[axis]) * step, f32(box[axis + 3]) * step
+    total = f32(0)
+    for square in range(MASK_SIDE * MASK_SIDE):
+        if (mask >> square) & 1 == 0:
+            continue
+        left, right = f32(square % MASK_SIDE) * QUARTER, f32(square % MASK_SIDE + 1) * QUARTER
+        bottom, top = f32(square // MASK_SIDE) * QUARTER, f32(square // MASK_SIDE + 1) * QUARTER
+        left, right, bottom, top = max(left, low_u), min(right, high_u), max(bottom, low_v), min(top, high_v)
+        if right <= left or top <= bottom:
+            continue
+        height = (plane[3] - HALF * (plane[u] * (left + right) + plane[v] * (bottom + top))) / plane[axis]
+        rise = HALF * (abs(plane[u]) * (right - left) + abs(plane[v]) * (top - bottom)) / plane[axis]
+        if height - rise > high or height + rise < low:
+            continue
+        share = f32(1)
+        if height - rise < low or height + rise > high:
+            share = f32(0)
+            for point in range(16):
+                x, y = f32(point & 3) * QUARTER - f32(0.375), f32(point >> 2) * QUARTER - f32(0.375)
+                at = height - (plane[u] * x * (right - left) + plane[v] * y * (top - bottom)) / plane[axis]
+                share += f32(1 / 16) if low <= at <= high else f32(0)
+        total += (right - left) * (top - bottom) * share
+    return total / plane[axis]
+
+
 @pixel_jit
-def finish_voxels(sums, extents, masks, planes, boxes, areas, albedo, emission):
-    """Means of the sums into planes, albedo and emission, extents (V, 3, 6) float32 into boxes and areas, in place.
+def finish_voxels(sums, extents, masks, planes, boxes, areas, seen, opacity, albedo, emission):
+    """Means of the sums into planes, opacity, albedo and emission, extents (V, 3, 6) float32 into boxes and areas; in place.
 
     The area is that of the triangles, or of the squares that they touch inside their box if that is less: two sheets behind
     each other count once.
@@ -344,12 +382,16 @@ def finish_voxels(sums, extents, masks, planes, boxes, areas, albedo, emission):
             planes[row, axis, 3] = (x * s[S_CENTRE] + y * s[S_CENTRE + 1] + z * s[S_CENTRE + 2]) * rcp
             u, v = (axis + 1) % 3, (axis + 2) % 3
             touched = _touched_share(np.int64(masks[row, axis]), e[u], e[v], e[u + 3], e[v + 3])
-            areas[row, axis] = min(area, touched / planes[row, axis, axis])
+            opacity[row, axis] = min(s[S_OPACITY] * rcp, f32(1))
+            areas[row, axis] = opacity[row, axis] * min(area, touched / planes[row, axis, axis])
             for a in range(3):
                 albedo[row, axis, a], emission[row, axis, a] = s[S_ALBEDO + a] * rcp, s[S_EMISSION + a] * rcp
                 # half a step outwards: a ray may meet the surface on a border of the voxel, give or take rounding
                 low, high = math.floor(e[a] * BOX_STEPS - 0.5), math.ceil(e[a + 3] * BOX_STEPS + 0.5)
                 boxes[row, axis, a], boxes[row, axis, a + 3] = max(int(low), 0), min(int(high), BOX_STEPS)
+            # a sliver in the corner of a voxel may lie between the points
+            met = _seen_area(np.int64(masks[row, axis]), boxes[row, axis], planes[row, axis], axis)
+            seen[row, axis] = opacity[row, axis] * max(met, f32(1e-4))
 
 
 @device_jit

@@ -97,7 +97,7 @@ class Context:
         from .voxel_scene import voxel_scene
 
         before, its_grid, scene = self._voxels
-        same = before is geometry or (before is not None and all(
+        same = before is geometry or (before is not None and before.cutouts is geometry.cutouts and all(
             np.array_equal(getattr(before, name), getattr(geometry, name)) for name in ("corners_ws", "albedo", "emission")))
         if not same or its_grid != grid:
             scene = voxel_scene(geometry, grid)

@@ -51,8 +51,8 @@ class LitVoxels:
 
 
 def side_areas(scene: VoxelScene) -> np.ndarray:
-    """(6 V,) float32 m2: area of each side."""
-    return np.repeat(scene.voxels.areas.ravel(), 2) * np.float32(scene.grid.cell_m**2)
+    """(6 V,) float32 m2: area of each side that rays meet."""
+    return np.repeat(scene.voxels.seen.ravel(), 2) * np.float32(scene.grid.cell_m**2)
 
 
 def light_voxels(frame: Frame, scene: VoxelScene, use_glossy: bool = True) -> LitVoxels:
@@ -109,9 +109,10 @@ def _list_lobes(flat: np.ndarray, of_side: list[np.ndarray], lobes: list[np.ndar
 
 
 def emissive_voxels(scene: VoxelScene) -> LitVoxels:
-    """The light of emissive surfaces, from both of their sides."""
+    """The light of emissive surfaces, from both of their sides; their flux is kept where rays meet more than their area."""
     radiance = np.zeros((len(scene), 6, SIDE_COLUMNS), np.float32)
-    radiance[..., :3] = np.repeat(scene.voxels.emission, 2, axis=1)
+    share = scene.voxels.areas / np.maximum(scene.voxels.seen, 1e-9)
+    radiance[..., :3] = np.repeat(scene.voxels.emission * share[..., None], 2, axis=1)
     flux = np.pi * (radiance[..., :3].reshape(-1, 3) * side_areas(scene)[:, None]).sum(0, dtype=np.float64)
     return LitVoxels(radiance, np.zeros((0, LOBE_COLUMNS), np.float32), flux, np.zeros(3))
 
@@ -127,7 +128,7 @@ def aim_at(scene: VoxelScene, lit: LitVoxels) -> tuple[np.ndarray, np.ndarray]:
 
     Writes the density of the draw into `lit.radiance`.
     """
-    flat, area = lit.radiance.reshape(-1, SIDE_COLUMNS), np.repeat(scene.voxels.areas.ravel(), 2)
+    flat, area = lit.radiance.reshape(-1, SIDE_COLUMNS), np.repeat(scene.voxels.seen.ravel(), 2)
     power = flat[:, :3].sum(1, dtype=np.float64) * area
     targets = np.flatnonzero(power > 0)
     if not len(targets):
@@ -159,7 +160,7 @@ def levels_of(scene: VoxelScene, lit: LitVoxels, solid: np.ndarray | None = None
         parts.append(cells)
     coverage, light = np.zeros((total, 3), np.float32), np.zeros((total, 6, 3), np.float32)
     coverage[number:number + filled] = 1
-    fill_level0(scene.voxels.planes, scene.voxels.areas, _without_direction(scene, lit), coverage, light)
+    fill_level0(scene.voxels.planes, scene.voxels.areas, scene.voxels.seen, _without_direction(scene, lit), coverage, light)
     base = number + filled
     for cells, children in zip(parts, indices[:-1], strict=True):
         fill_parents(cells, children, base, coverage, light)

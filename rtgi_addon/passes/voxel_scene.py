@@ -24,11 +24,22 @@ from ..kernels.voxel_rays import (
     W_BOX,
     W_MASK,
     W_OFFSET,
+    W_OPACITY,
     VoxelWalk,
     fill_bricks,
     fill_clearance,
 )
-from ..kernels.voxels import SUMS, Voxels, fill_coverage, finish_voxels, list_cells, list_entries, slice_spans, visit_slices
+from ..kernels.voxels import (
+    BOX_STEPS,
+    SUMS,
+    Voxels,
+    fill_coverage,
+    finish_voxels,
+    list_cells,
+    list_entries,
+    slice_spans,
+    visit_slices,
+)
 from .base import Context
 
 PILOT_POINTS, PILOT_RAYS = 2048, 8    # 16384 hits place each border of the box within a few of them
@@ -135,6 +146,7 @@ def voxelise(geometry: Geometry, grid: Grid) -> Voxels:
     corners, origin, rcp_cell = geometry.corners_ws, np.asarray(grid.origin_ws, np.float64), 1.0 / grid.cell_m
     along = int(np.argmax(shape))
     order = np.array([along, *(a for a in range(3) if a != along)])
+    present = _opacity(geometry)
     spans = slice_spans(corners, origin, rcp_cell, np.array(shape), along)
     slices = shape[along]
     # slices next to each other are alike, and a thread takes a contiguous run of turns
@@ -144,8 +156,8 @@ def voxelise(geometry: Geometry, grid: Grid) -> Voxels:
 
     def visit(sums: np.ndarray, extents: np.ndarray, masks: np.ndarray, is_marking: bool) -> None:
         for starts, entries in _batches(spans, slices):
-            visit_slices(corners, geometry.albedo, geometry.emission, origin, rcp_cell, order, starts, entries, turn,
-                         is_occupied, index, sums, extents, masks, is_marking)
+            visit_slices(corners, geometry.albedo, geometry.emission, present, origin, rcp_cell, order, starts, entries,
+                         turn, is_occupied, index, sums, extents, masks, is_marking)
 
     visit(np.zeros((0, 3, SUMS), np.float32), np.zeros((0, 3, 6), np.float32), np.zeros((0, 3), np.uint16), True)
     cells = list_cells(is_occupied, index)
@@ -153,9 +165,19 @@ def voxelise(geometry: Geometry, grid: Grid) -> Voxels:
     extents = np.tile(np.float32([1, 1, 1, 0, 0, 0]), (len(cells), 3, 1))
     visit(sums, extents, masks, False)
     planes, albedo, emission = (np.zeros((len(cells), 3, n), np.float32) for n in (4, 3, 3))
-    boxes, areas = np.zeros((len(cells), 3, 6), np.uint8), np.zeros((len(cells), 3), np.float32)
-    finish_voxels(sums, extents, masks, planes, boxes, areas, albedo, emission)
-    return Voxels(index, cells, planes, masks, boxes, areas, albedo, emission)
+    areas, seen, opacity = (np.zeros((len(cells), 3), np.float32) for _ in range(3))
+    boxes = np.zeros((len(cells), 3, 6), np.uint8)
+    finish_voxels(sums, extents, masks, planes, boxes, areas, seen, opacity, albedo, emission)
+    return Voxels(index, cells, planes, masks, boxes, areas, seen, opacity, albedo, emission)
+
+
+def _opacity(geometry: Geometry) -> np.ndarray:
+    """(T,) float32: mean opacity of each triangle."""
+    out = np.ones(len(geometry), np.float32)
+    if geometry.cutouts is not None:
+        is_cut = geometry.cutouts.row >= 0
+        out[is_cut] = geometry.cutouts.coverage[geometry.cutouts.row[is_cut]]
+    return out
 
 
 def _batches(spans: np.ndarray, slices: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -200,6 +222,7 @@ def packed_rows(voxels: Voxels) -> np.ndarray:
     slots[..., :W_OFFSET] = np.rint(voxels.planes[..., :3] * UNIT)
     slots[..., W_OFFSET] = np.rint(voxels.planes[..., 3] * HALF_UNIT)
     slots[..., W_MASK] = voxels.masks.view(np.int16)
+    rows[:, W_OPACITY:W_OPACITY + 3] = np.rint(voxels.opacity * BOX_STEPS)
     slots[..., W_BOX:] = (voxels.boxes[..., :3] | voxels.boxes[..., 3:].astype(np.uint16) << 8).view(np.int16)
     return rows
 

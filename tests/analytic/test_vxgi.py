@@ -8,14 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Geometry, LightKind
+from rtgi_addon.core.frame import Cutouts, Geometry, LightKind
 from rtgi_addon.core.synthetic import box_triangles, make_room_frame
 from rtgi_addon.core.techniques import VxgiParams
 from rtgi_addon.kernels.vec3 import f32
 from rtgi_addon.kernels.voxel_levels import cast_cones
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.voxel_light import levels_of, light_voxels, side_areas
-from rtgi_addon.passes.voxel_scene import grid_of_frame, solid_cells, voxel_scene
+from rtgi_addon.passes.voxel_scene import Grid, coverage_of, grid_of_frame, solid_cells, voxel_scene
 from rtgi_addon.passes.vxgi import compute_vxgi
 from tests.plane_frames import geometry_of, plane_frame, quad
 from tests.voxel_rooms import EXACT, gathered, lit, medium, room
@@ -166,6 +166,21 @@ def test_light_of_a_disk_that_shines_is_its_form_factor(radius, height):
                                     / np.sqrt((height**2 + s**2 + radius**2) ** 2 - 4 * radius**2 * s**2))
     assert abs(got.mean() / wanted.mean() - 1) < FURNACE
     assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.05 * wanted.max()
+
+
+def test_a_veil_lets_through_what_is_not_there_of_it():
+    # a sheet of which 30 % are there over a black floor: 0.7 of the sky comes through, and 0.3 of what the sheet sends
+    sheet = quad((8.0, 8.0, 6.4), 40.0, 40.0)
+    cutouts = Cutouts(np.array([0, 1], np.int32), np.zeros((2, 3, 2), np.float32), np.full(2, 0.3, np.float32),
+                      np.ones(2, bool), np.tile(np.int32([0, 1, 1]), (2, 1)), np.array([76], np.uint8))
+    geometry = dataclasses.replace(geometry_of(sheet), cutouts=cutouts)
+    scene = voxel_scene(geometry, Grid((0.0, 0.0, 0.0), 1.0, (16, 16, 8)))
+    assert np.allclose(coverage_of(scene.voxels)[:, :, 6, 2], 0.3, atol=2e-3)
+    # up to the grid's side the sheet is 8 cells wide to each side and 1.4 off
+    point, up = np.array([[8.0, 8.0, 5.0]]), np.array([[0.0, 0.0, 1.0]])
+    open_share = gathered(scene, lit(scene, 0.0), point, up, cones=4096, sky=1.0)[0]
+    sent = gathered(scene, lit(scene, 1.0), point, up, cones=4096)[0]
+    assert abs(open_share - 0.7) < 0.03 and abs(sent - 0.3) < 0.03      # a draw of 4096 rays, and 3 % pass by the sheet
 
 
 @pytest.mark.parametrize("use_glossy", [False, True])

@@ -81,7 +81,7 @@ def flux_over_area(frame: Frame, scene: VoxelScene, spread: int) -> np.ndarray:
                 row = row_at(scene, point)
                 row = row if row >= 0 else row_at(scene, p)
                 sums[row, 2 * axis + int(n[axis] < 0)] += reflected[i, j] / spread**2
-    area = scene.voxels.areas.astype(np.float64)[:, np.arange(6) // 2, None] * scene.grid.cell_m**2
+    area = scene.voxels.seen.astype(np.float64)[:, np.arange(6) // 2, None] * scene.grid.cell_m**2
     return np.where(area > 0, sums / (np.pi * np.maximum(area, 1e-30)), 0)
 
 
@@ -93,7 +93,7 @@ def row_at(scene: VoxelScene, point: np.ndarray) -> int:
 
 def by_brick(scene: VoxelScene, radiance: np.ndarray) -> np.ndarray:
     """Power over pi of the sides, summed over bricks of 4x4x4 cells."""
-    power = radiance * scene.voxels.areas[:, np.arange(6) // 2, None]
+    power = radiance * scene.voxels.seen[:, np.arange(6) // 2, None]
     out = np.zeros((*(-(-n // 4) for n in scene.grid.shape), 6, 3))
     np.add.at(out, tuple(scene.voxels.cells.T // 4), power)
     return out

@@ -57,8 +57,8 @@ def dense_level0(voxels: Voxels, radiance: np.ndarray) -> tuple[np.ndarray, np.n
     coverage, light = np.zeros((*shape, 3)), np.zeros((*shape, 6, 3))
     for row, cell in enumerate(map(tuple, voxels.cells)):
         for axis in range(3):
-            shares = voxels.areas[row].astype(np.float64) * voxels.planes[row, :, axis]
-            total = np.abs(shares).sum()
+            shares = voxels.seen[row].astype(np.float64) * voxels.planes[row, :, axis]
+            total = np.abs(voxels.areas[row].astype(np.float64) * voxels.planes[row, :, axis]).sum()
             for viewer in range(2):
                 for slot in range(3):
                     # the viewer on the + side of the axis sees the side whose normal leads there
