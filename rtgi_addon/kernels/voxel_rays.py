@@ -84,12 +84,14 @@ def fill_clearance(bits, first):
 
 @device_jit
 def count_ones(word):
-    """Ones in 64 bits; compilers know the form and use the processor's own instruction."""
+    """Ones in 64 bits."""
     w = np.uint64(word)
     w = w - ((w >> np.uint64(1)) & np.uint64(0x5555555555555555))
     w = (w & np.uint64(0x3333333333333333)) + ((w >> np.uint64(2)) & np.uint64(0x3333333333333333))
     w = (w + (w >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((w * np.uint64(0x0101010101010101)) >> np.uint64(56))
+    w = w + (w >> np.uint64(8))
+    w = w + (w >> np.uint64(16))
+    return np.int64((w + (w >> np.uint64(32))) & np.uint64(0x7F))
 
 
 @device_jit
