@@ -19,7 +19,8 @@ _HEAD = """# Results
 
 Measured by `rtgi bench`; this page is made from its results.jsonl by tools/results.py. How to read it: the first table of
 a size is time, of a whole F12 by the wall clock, the second is error. Cycles stands beside RTGI with the same one bounce,
-the same pixel filter and its denoiser, timed in the same process. The error metrics are described in
+the same pixel filter and its denoiser, timed in the same process. The machine is shared: read times as ratios of one line,
+and with care, since load comes and goes; errors do not depend on it. The error metrics are described in
 `rtgi_addon/compare/metrics.py`.
 
 """
