@@ -278,11 +278,13 @@ def render_frame(bpy: Any, scene: Any) -> Any:
 
 
 def pass_channels(result: Any) -> dict[str, Any]:
-    """The channels of --passes: composite, every transport and the visibility."""
+    """The channels of --passes: composite, every transport, the visibility and what techniques drew of themselves."""
     channels = {f"composite.{c}": result.combined[..., i] for i, c in enumerate("RGBA")}
     for transport, light in result.transports.items():
         channels.update({f"{transport.value}.{c}": light[..., i] for i, c in enumerate("RGB")})
     channels["visibility.V"] = result.visibility
+    for name, picture in result.pictures.items():
+        channels.update({f"{name}.{c}": picture[..., i] for i, c in enumerate("RGB")})
     return channels
 
 
@@ -467,7 +469,8 @@ def _add_render(commands: Any) -> None:
     parser.add_argument("--threads", type=_count, metavar="N", help="threads for Cycles and RTGI; all if left out")
     parser.add_argument("--seed", type=int, metavar="N", help="another number gives another pattern of noise")
     parser.add_argument("--passes", type=Path, metavar="PASSES.exr",
-                        help="composite, every kind of light and visibility as layers (diffuse light as irradiance, W/m2)")
+                        help="composite, every kind of light and visibility as layers (diffuse light as irradiance, W/m2), "
+                             "and what techniques draw of themselves (--set vxgi.pictures=on)")
     parser.add_argument("--report", type=Path, metavar="R.json", help="plan, stage times, memory, versions and warnings")
     parser.set_defaults(run=run_render)
 

@@ -55,13 +55,15 @@ class Result:
     """A finished frame.
 
     combined (H, W, 4) float32 linear; transports: (H, W, 3) float32 each, units as `Transport`; visibility (H, W) float32;
-    report: the plan, stages and versions as the JSON report holds them.
+    report: the plan, stages and versions as the JSON report holds them; pictures: what techniques drew of themselves, by
+    technique and name.
     """
 
     combined: np.ndarray
     transports: dict[Transport, np.ndarray]
     visibility: np.ndarray
     report: dict[str, Any] = field(default_factory=dict)
+    pictures: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def peak_memory_mb() -> float:
@@ -124,4 +126,5 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
         "versions": versions(), "warnings": list(frame.warnings),
         "diagnostics": {name: result.diagnostics for name, result in results},
     }
-    return Result(combined, light, visibility, report)
+    pictures = {f"{name} {what}": image for name, result in results for what, image in result.pictures.items()}
+    return Result(combined, light, visibility, report, pictures)

@@ -140,6 +140,9 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
     if name == "ssr" and not (frame.lights or not frame.world.is_black or frame.gbuffer.emission[mask].any()
                               or (frame.geometry is not None and frame.geometry.emission.any())):
         return "there is no light to reflect"
-    if name == "rsm" and not any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views):
+    is_lit = any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views)
+    if name == "rsm" and not is_lit:
         return "no lamp lights a surface" if frame.lights else "there is no lamp"
+    if name == "vxgi" and not is_lit and (frame.geometry is None or not frame.geometry.emission.any()):
+        return "no lamp lights a surface, and none shines by itself"
     return None

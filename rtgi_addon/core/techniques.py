@@ -71,6 +71,34 @@ class RsmParams(Params):
 
 
 @dataclass(frozen=True)
+class VxgiParams(Params):
+    """Voxel global illumination: lit voxels of the scene, and cones through them."""
+
+    resolution: int = param(
+        128, "Voxels along the longest edge of the part of the scene that the picture's light reaches; finer ones take "
+             "memory with the square and follow thin things", low=8, high=512, soft_high=256)
+    lattice_px: int = param(
+        4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
+        low=1, high=16, soft_high=8, unit="px")
+    cones: int = param(
+        32, "Cones from each gather point; noise falls, and time rises, with their number", low=1, high=1024, soft_high=256)
+    exact_voxels: int = param(
+        1024, "Voxels that a cone is followed as an exact ray before it widens; 0 is the method as published, which blurs "
+              "light through walls", low=0, high=1024)
+    glossy_voxels: bool = param(
+        True, "Lit voxels send out their glossy lobe too; without it part of the bounce is missing")
+    solid: bool = param(
+        False, "Fill closed bodies, so that widened cones do not see light through them; dims faces beside them, and exact "
+               "rays need it not")
+    world_light: bool = param(
+        False, "Cones that leave the voxels bring the world's light, in place of the rays of World Light")
+    glossy: bool = param(
+        False, "Glossy pixels take a cone around their mirror direction; reflections are as coarse as the voxels")
+    pictures: bool = param(
+        False, "Also draw the voxels as the camera sees them, for a look at what the technique sees; layers of --passes")
+
+
+@dataclass(frozen=True)
 class SsrParams(Params):
     """Screen-space reflections: glossy surfaces show what the picture, and beyond it the scene, holds."""
 
@@ -102,7 +130,7 @@ class SsrParams(Params):
 
 
 TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams,
-                                             "ssr": SsrParams}
+                                             "vxgi": VxgiParams, "ssr": SsrParams}
 
 # these run in every render and have no toggle
 ALWAYS_ON = ("direct", "world")
@@ -111,6 +139,7 @@ LABELS: dict[str, str] = {
     "direct": "Direct Light",
     "world": "World Light",
     "rsm": "Reflective Shadow Maps",
+    "vxgi": "Voxel Global Illumination",
     "ssr": "Screen-Space Reflections",
 }
 
@@ -120,18 +149,21 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 8, "rays": 16},
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
+        "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
         "ssr": {"samples": 8},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 4, "rays": 32},
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
+        "vxgi": {"resolution": 128, "lattice_px": 4, "cones": 32},
         "ssr": {"samples": 16},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},
         "world": {"lattice_px": 2, "rays": 64},
         "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
+        "vxgi": {"resolution": 256, "lattice_px": 2, "cones": 64},
         "ssr": {"samples": 64},
     },
 }

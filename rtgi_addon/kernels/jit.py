@@ -68,6 +68,8 @@ def _with_cache(decorate: Callable) -> Callable:
 
 def _without_literals(dispatcher: Any) -> Any:
     """Callers' literal numbers become plain integers: numba would compile a helper anew for each of them."""
+    if numba.config.DISABLE_JIT:
+        return dispatcher                        # the plain function
     template = dispatcher.get_call_template
     dispatcher.get_call_template = lambda args, kws: template(
         tuple(map(types.unliteral, args)), {name: types.unliteral(kind) for name, kind in kws.items()})

@@ -36,7 +36,7 @@ def _sky_direction(row, column, u, v, height, width):
 
 
 @device_jit
-def _find(cdf, u):
+def find_first(cdf, u):
     """First index whose running sum exceeds u."""
     lo, hi = 0, cdf.shape[0] - 1
     while lo < hi:
@@ -72,7 +72,7 @@ def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_sha
         for j in range(rays):
             u, v = r2_sequence(j, shift_u, shift_v)
             if j < by_map:
-                k = _find(cdf, uniform(ids[m], seed, 2 + j))
+                k = find_first(cdf, uniform(ids[m], seed, 2 + j))
                 d = _sky_direction(k // width, k % width, u, v, height, width)
             else:
                 d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)

@@ -41,12 +41,14 @@ class PassResult:
     """What a pass gives: (H, W, 3) float32 a transport, an optional visibility (H, W) float32 in [0, 1], diagnostics.
 
     `takes_over` names transports whose earlier light, from `Context.light`, went into this result and is replaced by it.
+    `pictures` (H, W, 3) float32 by name show what the technique works on; they are for looking at and not added up.
     """
 
     light: dict[Transport, np.ndarray]
     visibility: np.ndarray | None = None
     diagnostics: dict[str, Any] = field(default_factory=dict)
     takes_over: frozenset[Transport] = frozenset()
+    pictures: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 class Context:
@@ -63,6 +65,7 @@ class Context:
         self._cutouts_of: Cutouts | None = None
         self._tree: Any = None                   # as it is without cutouts
         self._bvh: Any = None
+        self._voxels: tuple[Any, Any, Any] = (None, None, None)
         self.light: dict[Transport, np.ndarray] = {}
 
     def listen(self, is_cancelled: Callable[[], bool], report: Callable[[str, float], None]) -> None:
@@ -88,6 +91,18 @@ class Context:
             self._bvh = with_cutouts(self._tree, geometry.cutouts)
         self._bvh_of, self._cutouts_of = geometry.corners_ws, geometry.cutouts
         return self._bvh
+
+    def voxels(self, geometry: Geometry, grid: Any) -> Any:
+        """`voxel_scene.VoxelScene` of the triangles in `grid` (`voxel_scene.Grid`), made once for the same of both."""
+        from .voxel_scene import voxel_scene
+
+        before, its_grid, scene = self._voxels
+        same = before is geometry or (before is not None and before.cutouts is geometry.cutouts and all(
+            np.array_equal(getattr(before, name), getattr(geometry, name)) for name in ("corners_ws", "albedo", "emission")))
+        if not same or its_grid != grid:
+            scene = voxel_scene(geometry, grid)
+        self._voxels = geometry, grid, scene
+        return scene
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ MAX_TEXELS = 65536          # texels that clusters are made of; more only make t
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
-def _reflecting(view: LightView, light: Light, use_glossy: bool) -> np.ndarray:
+def is_reflecting(view: LightView, light: Light, use_glossy: bool) -> np.ndarray:
     """(H, W) bool: texels that send light back."""
     g = view.gbuffer
     colour = light.diffuse_factor * g.albedo
@@ -43,7 +43,7 @@ def _reflecting(view: LightView, light: Light, use_glossy: bool) -> np.ndarray:
 
 def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
     """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture."""
-    reflecting = [_reflecting(view, frame.lights[view.light_index], use_glossy) for view in frame.views]
+    reflecting = [is_reflecting(view, frame.lights[view.light_index], use_glossy) for view in frame.views]
     table = np.empty((ROWS, sum(int(np.count_nonzero(r)) for r in reflecting)), np.float32)
     offset = 0
     for view, reflects in zip(frame.views, reflecting, strict=True):
