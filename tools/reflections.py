@@ -1,7 +1,7 @@
 """Reflections against Cycles' Glossy Indirect, with and without what answers beyond the picture: python -m tools.reflections
 
     python -m tools.reflections SCENE.blend ... [--size 640x360] [--samples 96] [--cache FOLDER | --references FOLDER]
-    [--seed N]
+    [--figure OUT.png] [--seed N]
 
 Prints a table in Markdown. A pixel counts as in the picture if what its mirror ray meets is seen by the camera. Needs bpy.
 """
@@ -16,6 +16,7 @@ import numpy as np
 
 from rtgi_addon import pipeline, register
 from rtgi_addon.compare import metrics
+from rtgi_addon.compare.report import ERROR_SCALE, error_map, side_by_side, write_picture
 from rtgi_addon.core.frame import Frame, World
 from rtgi_addon.core.techniques import SsrParams, default_settings
 from rtgi_addon.passes.base import Context, Transport
@@ -55,39 +56,75 @@ def mirrors_show(frame: Frame) -> np.ndarray:
     return shown[..., 0] > 0.5
 
 
-def row_of(path: Path, size: tuple[int, int], samples: int, cache: Path, given: Path | None, seed: int) -> list[str]:
+class Scene:
+    """One scene with its reference, its picture without reflections, and these with and without rays beyond the picture."""
+
+    def __init__(self, path: Path, size: tuple[int, int], samples: int, cache: Path, given: Path | None, seed: int):
+        from rtgi_addon.compare.reference import on_threads, open_scene
+        from rtgi_addon.compare.run import reference_for
+
+        self.path, self.scene = path, open_scene(path)
+        with on_threads(self.scene, 2):
+            self.reference = reference_for(self.scene, path, size, samples, cache, given)
+            frame, light, picture = frame_of(self.scene, size)
+        self.bare, self.shown, self.light = picture[..., :3], mirrors_show(frame), {}
+        context = Context()
+        context.light = light
+        for fallback in ("RAYS", "WORLD"):
+            self.light[fallback] = compute_ssr(frame, SsrParams(fallback=fallback), context, seed).light
+
+    def bounce(self, fallback: str) -> np.ndarray:
+        """(H, W, 3) the glossy bounce."""
+        return self.light[fallback][Transport.BOUNCE_GLOSSY]
+
+    def picture(self, fallback: str) -> np.ndarray:
+        """(H, W, 3) the whole picture."""
+        return self.bare + self.bounce(fallback) + self.light[fallback][Transport.WORLD_GLOSSY]
+
+
+def row_of(s: Scene) -> list[str]:
     """Cells of the table for one scene."""
-    from rtgi_addon.compare.reference import on_threads, open_scene
-    from rtgi_addon.compare.run import reference_for
+    mask, truth, whole = s.reference.mask, s.reference.mean("glossy bounce"), s.reference.mean("picture")
+    inside, outside = mask & s.shown, mask & ~s.shown
 
-    scene = open_scene(path)
-    with on_threads(scene, 2):
-        reference = reference_for(scene, path, size, samples, cache, given)
-        frame, light, picture = frame_of(scene, size)
-    mask, truth, whole = reference.mask, reference.mean("glossy bounce"), reference.mean("picture")
-    context = Context()
-    context.light = light
-    shown, images = mirrors_show(frame), {}
-    for fallback in ("RAYS", "WORLD"):
-        result = compute_ssr(frame, SsrParams(fallback=fallback), context, seed)
-        images[fallback] = result.light[Transport.BOUNCE_GLOSSY]
-        if fallback == "RAYS":
-            added = images[fallback] + result.light[Transport.WORLD_GLOSSY]
-
-    def share(image: np.ndarray, part: np.ndarray) -> str:
+    def share(fallback: str, part: np.ndarray) -> str:
         # the part's own error over its own light
-        return f"{100 * metrics.block_relative_l1(image, truth, part):.1f} %" if truth[part].sum() > 0 else "-"
+        return f"{100 * metrics.block_relative_l1(s.bounce(fallback), truth, part):.1f} %" if truth[part].sum() > 0 else "-"
 
     def of_picture(image: np.ndarray) -> str:
         return f"{100 * metrics.block_relative_l1(image, whole, mask):.2f} %"
 
-    inside, outside = mask & shown, mask & ~shown
-    return [path.stem, f"{100 * truth[mask].sum() / whole[mask].sum():.1f} %", of_picture(picture[..., :3]),
-            of_picture(picture[..., :3] + added), share(images["RAYS"], mask),
-            f"{100 * metrics.block_noise(*reference.halves('glossy bounce'), mask):.1f} %",
-            f"{metrics.energy_ratio(images['RAYS'], truth, mask):.3f}",
-            share(images["RAYS"], inside), share(images["WORLD"], inside), share(images["RAYS"], outside),
-            share(images["WORLD"], outside), f"{100 * truth[outside].sum() / truth[mask].sum():.0f} %"]
+    return [s.path.stem, f"{100 * truth[mask].sum() / whole[mask].sum():.1f} %", of_picture(s.bare),
+            of_picture(s.picture("RAYS")), share("RAYS", mask),
+            f"{100 * metrics.block_noise(*s.reference.halves('glossy bounce'), mask):.1f} %",
+            f"{metrics.energy_ratio(s.bounce('RAYS'), truth, mask):.3f}", share("RAYS", inside), share("WORLD", inside),
+            share("RAYS", outside), share("WORLD", outside), f"{100 * truth[outside].sum() / truth[mask].sum():.0f} %"]
+
+
+def draw(s: Scene, out: Path) -> None:
+    """A picture of what the picture alone cannot reflect, beside what rays beyond it give, and Cycles."""
+    from rtgi_addon.compare.reference import displayed, drawn_text
+
+    mask, truth, whole = s.reference.mask, s.reference.mean("glossy bounce"), s.reference.mean("picture")
+    panels = []
+    for fallback, title in (("WORLD", "In the picture alone"), ("RAYS", "Rays beyond the picture")):
+        energy = metrics.energy_ratio(s.bounce(fallback), truth, mask)
+        panels.append((title, f"{100 * energy:.0f} % of the glossy bounce", displayed(s.picture(fallback), s.scene)))
+    panels.append(("Cycles, one bounce", "", displayed(whole, s.scene)))
+    panels.append(("Error of the first", "", error_map(s.picture("WORLD"), whole)))
+    pixels = side_by_side(panels, ERROR_SCALE, drawn_text)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if out.suffix != ".jpg":
+        write_picture(out, pixels)
+        return
+    import bpy
+
+    image = bpy.data.images.new("figure", pixels.shape[1], pixels.shape[0])
+    rgba = np.ones((*pixels.shape[:2], 4), np.float32)
+    rgba[..., :3] = pixels[::-1] / np.float32(255)
+    image.pixels.foreach_set(rgba.ravel())
+    image.filepath_raw, image.file_format = str(out.resolve()), "JPEG"
+    image.save(quality=88)
 
 
 def main() -> None:
@@ -98,11 +135,17 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=96)
     parser.add_argument("--cache", type=Path, default=Path("out/references"))
     parser.add_argument("--references", type=Path, help="folder of references, NAME_WxH.npz, instead of rendering them")
+    parser.add_argument("--figure", type=Path, help=".png or .jpg of the first scene: what the picture alone lacks")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     width, height = (int(n) for n in args.size.split("x"))
     register()
-    rows = [row_of(path, (width, height), args.samples, args.cache, args.references, args.seed) for path in args.scenes]
+    rows = []
+    for path in args.scenes:
+        scene = Scene(path, (width, height), args.samples, args.cache, args.references, args.seed)
+        rows.append(row_of(scene))
+        if args.figure and path == args.scenes[0]:
+            draw(scene, args.figure)
     print("\n".join(f"| {' | '.join(cells)} |" for cells in (HEAD, ["---"] * len(HEAD), *rows)))
 
 
