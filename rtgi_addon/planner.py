@@ -141,7 +141,7 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
                               or (frame.geometry is not None and frame.geometry.emission.any())):
         return "there is no light to reflect"
     is_lit = any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views)
-    if name == "rsm" and not is_lit:
+    if name in ("rsm", "lpv") and not is_lit:
         return "no lamp lights a surface" if frame.lights else "there is no lamp"
     if name == "vxgi" and not is_lit and (frame.geometry is None or not frame.geometry.emission.any()):
         return "no lamp lights a surface, and none shines by itself"

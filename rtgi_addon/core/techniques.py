@@ -99,6 +99,49 @@ class VxgiParams(Params):
 
 
 @dataclass(frozen=True)
+class LpvParams(Params):
+    """Light propagation volumes: light of lit surfaces travels through a grid of cells."""
+
+    mode: str = param(
+        "ORDINATES", "What a cell keeps of its light, and how that moves on",
+        choices=(("ORDINATES", "Directions",
+                  "Flux by patches of directions, carried through the grid in one sweep: light keeps its way and falls off "
+                  "as it should"),
+                 ("HARMONICS", "Harmonics",
+                  "Intensity in spherical harmonics, stepped from neighbour to neighbour until little is left in motion: "
+                  "light spreads like heat"),
+                 ("PAPER", "As published",
+                  "Clamped steps, fuzzy blockers and damping (Kaplanyan and Dachsbacher 2010): too bright near, too dark "
+                  "far, through thin walls")))
+    resolution: int = param(
+        32, "The grid has the cube of this number of cells, whatever its shape; light leaks and blurs over a cell, time and "
+        "memory grow with their number", low=8, high=96, soft_high=64)
+    directions: int = param(
+        4, "Patches of directions along an edge of each of a cube's six faces: 4 makes 96, odd numbers count as the next "
+        "even one; fewer show the light of small places as rays. Directions only", low=2, high=8, soft_high=6)
+    cascades: int = param(
+        2, "Grids inside of each other, the inner ones around what is near to the camera, if that is much smaller than the "
+        "scene; each costs as much as the first. Directions only", low=1, high=4)
+    blockers: bool = param(
+        True, "Surfaces stop light between cells; without it the grid is empty space")
+    glossy_texels: bool = param(
+        True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing. Directions only")
+    lattice_px: int = param(
+        6, "Distance between pixels that look into the grid; those between are interpolated where the surface is smooth",
+        low=1, high=16, soft_high=8, unit="px")
+    residual: float = param(
+        0.01, "Share of the flux in motion at which steps end. Harmonics only", low=0.0, high=1.0)
+    max_iterations: int = param(
+        64, "Steps that are taken at most; in open space light hardly ever leaves. Harmonics only",
+        low=1, high=1024, soft_high=256)
+    iterations: int = param(
+        8, "Steps, each to the next cell; more of them brighten what is far. As published only",
+        low=1, high=256, soft_high=64)
+    damping: bool = param(
+        True, "Darken light that changes against its direction across a surface: it came through. As published only")
+
+
+@dataclass(frozen=True)
 class SsrParams(Params):
     """Screen-space reflections: glossy surfaces show what the picture, and beyond it the scene, holds."""
 
@@ -130,7 +173,7 @@ class SsrParams(Params):
 
 
 TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams,
-                                             "vxgi": VxgiParams, "ssr": SsrParams}
+                                             "vxgi": VxgiParams, "lpv": LpvParams, "ssr": SsrParams}
 
 # these run in every render and have no toggle
 ALWAYS_ON = ("direct", "world")
@@ -140,6 +183,7 @@ LABELS: dict[str, str] = {
     "world": "World Light",
     "rsm": "Reflective Shadow Maps",
     "vxgi": "Voxel Global Illumination",
+    "lpv": "Light Propagation Volumes",
     "ssr": "Screen-Space Reflections",
 }
 
@@ -150,6 +194,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "world": {"lattice_px": 8, "rays": 16},
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
         "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
+        "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
         "ssr": {"samples": 8},
     },
     "BALANCED": {
@@ -157,6 +202,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "world": {"lattice_px": 4, "rays": 32},
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
         "vxgi": {"resolution": 128, "lattice_px": 4, "cones": 32},
+        "lpv": {"resolution": 32, "directions": 4, "lattice_px": 6},
         "ssr": {"samples": 16},
     },
     "QUALITY": {
@@ -164,6 +210,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "world": {"lattice_px": 2, "rays": 64},
         "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
         "vxgi": {"resolution": 256, "lattice_px": 2, "cones": 64},
+        "lpv": {"resolution": 48, "directions": 6, "lattice_px": 3},
         "ssr": {"samples": 64},
     },
 }

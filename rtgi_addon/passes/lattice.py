@@ -46,11 +46,12 @@ def gather_in_tiles(gather: Gather, position: np.ndarray, normal: np.ndarray, id
 
 
 def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, context: Context, text: str,
-                      ) -> tuple[np.ndarray, dict[str, float]]:
+                      noisy: bool = True) -> tuple[np.ndarray, dict[str, float]]:
     """(H, W, 3) float32 irradiance of `gather` for every surface pixel, and diagnostics.
 
     Every `step_px`-th pixel is gathered, the lattice smoothed once and spread to the pixels by plane and normal; pixels
-    that find no like neighbour are gathered on their own.
+    that find no like neighbour are gathered on their own. What is not `noisy` is spread as it is, and `gather` may return
+    (M, 3).
     """
     g = frame.gbuffer
     mask = g.mask
@@ -64,18 +65,23 @@ def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, con
         at = (slice(0, None, 1), slice(0, None, 1))      # an image smaller than the lattice, or one with slivers only
         step_px = 1
     position_l, normal_l, mask_l = (np.ascontiguousarray(a[at]) for a in (g.position_ws, g.normal_ws, mask))
-    lattice = np.zeros((*mask_l.shape, 5), np.float32)
-    lattice[mask_l] = gather_in_tiles(gather, position_l[mask_l], normal_l[mask_l], ids[at][mask_l], seed, context, text, 5)
+    columns = 5 if noisy else 3
+    lattice = np.zeros((*mask_l.shape, columns), np.float32)
+    lattice[mask_l] = gather_in_tiles(gather, position_l[mask_l], normal_l[mask_l], ids[at][mask_l], seed, context, text,
+                                      columns)
     tolerance = PLANE_TOLERANCE_PX * step_px * pixel_footprint_m(frame.camera, g.depth)
     rcp_tolerance = (1 / np.maximum(tolerance, 1e-30)).astype(np.float32)
     context.checkpoint("Filter", 0.0)
-    rcp_l = np.ascontiguousarray(rcp_tolerance[at])
-    pilot = pilot_means(lattice, position_l, normal_l, mask_l, rcp_l)
-    smooth = regress_lattice(lattice, pilot, position_l, normal_l, mask_l, rcp_l, RADIUS, f32(CONTRAST), f32(RIDGE))
+    smooth = lattice
+    if noisy:
+        rcp_l = np.ascontiguousarray(rcp_tolerance[at])
+        pilot = pilot_means(lattice, position_l, normal_l, mask_l, rcp_l)
+        smooth = regress_lattice(lattice, pilot, position_l, normal_l, mask_l, rcp_l, RADIUS, f32(CONTRAST), f32(RIDGE))
     out, weak = spread_lattice(smooth, position_l, normal_l, mask_l, g.position_ws, g.normal_ws, mask, rcp_tolerance,
                                step_px, f32(UNREST))
     if weak.any():
         out[weak] = gather_in_tiles(gather, g.position_ws[weak], g.normal_ws[weak], ids[weak], seed + 1, context, text)
-        smooth_marked(out, weak, g.position_ws, g.normal_ws, mask, rcp_tolerance)
+        if noisy:
+            smooth_marked(out, weak, g.position_ws, g.normal_ws, mask, rcp_tolerance)
     surface = max(int(mask.sum()), 1)
     return out, {"gathered_share": float((mask_l.sum() + weak.sum()) / surface), "weak_share": float(weak.sum() / surface)}
