@@ -147,13 +147,16 @@ class RTGIEngine(bpy.types.RenderEngine):
         self.error_set(text)
 
     def _render(self, depsgraph):
+        context = _shared_context()
+        with context.listening(self.test_break, self._report):
+            self._render_with(context, depsgraph)
+
+    def _render_with(self, context, depsgraph):
         global _last_result
         from . import pipeline, planner
 
         scene = depsgraph.scene
-        settings = _settings_of(scene)
-        stages, context = pipeline.Stages(), _shared_context()
-        context.listen(self.test_break, self._report)
+        settings, stages = _settings_of(scene), pipeline.Stages()
         frame, capture_plan = self._capture(depsgraph, settings, context, stages)
         plan = planner.plan_frame(frame, settings, capture_plan)
         result = pipeline.run(frame, plan, settings, context, stages, scene.render.film_transparent)

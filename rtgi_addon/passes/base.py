@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -68,9 +69,19 @@ class Context:
         self._voxels: tuple[Any, Any, Any] = (None, None, None)
         self.light: dict[Transport, np.ndarray] = {}
 
-    def listen(self, is_cancelled: Callable[[], bool], report: Callable[[str, float], None]) -> None:
-        """Follow another render's Esc and progress; what is cached stays."""
+    @contextlib.contextmanager
+    def listening(self, is_cancelled: Callable[[], bool], report: Callable[[str, float], None]) -> Iterator[None]:
+        """Follow a render's Esc and progress for the time of the block; what is cached stays.
+
+        No longer than that: the functions hold the render's engine, and an engine that Blender frees before Python does can
+        no longer free its Cycles session.
+        """
+        before = self.is_cancelled, self._report
         self.is_cancelled, self._report = is_cancelled, report
+        try:
+            yield
+        finally:
+            self.is_cancelled, self._report = before
 
     def checkpoint(self, text: str = "", share: float = 0.0) -> None:
         """Between tiles and stages: raise Cancelled if the user asked for it, else show `text` and `share` in [0, 1]."""
