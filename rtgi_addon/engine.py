@@ -100,6 +100,8 @@ class RTGIEngine(bpy.types.RenderEngine):
         cycles = scene.cycles
         cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = 1, False, False
         cycles.max_bounces, cycles.use_light_tree, cycles.use_guiding = 0, False, False
+        # no bounce still follows a path to its next surface and shades that, unless ambient occlusion is to stand in for it
+        cycles.use_fast_gi, cycles.fast_gi_method, cycles.ao_bounces_render = True, "REPLACE", 1
         cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01    # a box is always a pixel wide
         depsgraph.view_layer_eval.cycles.denoising_pass_follow_reflections = False
         camera = self.camera_override

@@ -52,7 +52,7 @@ def mirrors_show(frame: Frame) -> np.ndarray:
     context = Context()
     context.light = {Transport.EMISSION_DIFFUSE: np.full_like(g.albedo, np.pi)}
     dark = dataclasses.replace(frame, gbuffer=white, lights=(), world=World())
-    shown = compute_ssr(dark, SsrParams(edge_fade=0.0), context).light[Transport.BOUNCE_GLOSSY]
+    shown = compute_ssr(dark, SsrParams(method="HIERARCHY", edge_fade=0.0), context).light[Transport.BOUNCE_GLOSSY]
     return shown[..., 0] > 0.5
 
 

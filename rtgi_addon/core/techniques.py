@@ -146,8 +146,11 @@ class SsrParams(Params):
     """Screen-space reflections: glossy surfaces show what the picture, and beyond it the scene, holds."""
 
     method: str = param(
-        "HIERARCHY", "How a ray is followed through the picture",
-        choices=(("HIERARCHY", "Hierarchy", "Every pixel that the ray crosses, skipping empty parts by a pyramid of depths"),
+        "TRIANGLES", "How a ray finds what it meets",
+        choices=(("TRIANGLES", "Triangles",
+                  "Rays through the scene's triangles; the picture tells the light of hits that it shows. Exact, and with "
+                  "Blender's ray tracer the fastest"),
+                 ("HIERARCHY", "Hierarchy", "Every pixel that the ray crosses, skipping empty parts by a pyramid of depths"),
                  ("DDA", "Every pixel", "Every pixel that the ray crosses; the same hits as the hierarchy, in more steps"),
                  ("LINEAR", "Even steps", "Steps of a fixed length, as first published: thin things fall between two")))
     fallback: str = param(
@@ -155,10 +158,8 @@ class SsrParams(Params):
         choices=(("RAYS", "Rays", "Rays through the scene's triangles, their hits lit by the lamps"),
                  ("WORLD", "World", "The world alone; black where it is black"),
                  ("CONES", "Voxel cones", "The glossy light of the voxel cones, where that technique runs; else rays")))
-    exact_rays: bool = param(
-        False, "Trace every ray through the triangles instead of the picture; the yardstick for hits in the picture")
     samples: int = param(
-        16, "Rays for each block of 4x4 pixels, at least one for each smooth pixel; noise falls with the square root",
+        8, "Rays for each block of 4x4 pixels, at least one for each smooth pixel; noise falls with the square root",
         low=1, high=4096, soft_high=256)
     lattice_px: int = param(
         4, "Largest distance between traced pixels on rough surfaces; pixels between them are interpolated",
@@ -195,7 +196,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
         "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
         "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
-        "ssr": {"samples": 8},
+        "ssr": {"samples": 4},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
@@ -203,7 +204,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
         "vxgi": {"resolution": 128, "lattice_px": 4, "cones": 32},
         "lpv": {"resolution": 32, "directions": 4, "lattice_px": 6},
-        "ssr": {"samples": 16},
+        "ssr": {"samples": 8},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},

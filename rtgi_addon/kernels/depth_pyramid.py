@@ -45,16 +45,18 @@ class DepthPyramid(NamedTuple):
     columns: np.ndarray
 
 
-def build_pyramid(screen: Screen, slack_px: float, thickness_m: float = 0.0) -> DepthPyramid:
-    """The pyramid of a view.
+def build_pyramid(screen: Screen, slack_px: float, thickness_m: float = 0.0, has_levels: bool = True) -> DepthPyramid:
+    """The pyramid of a view; level 0 alone for those who look at single pixels only.
 
     A surface is as thick as `slack_px` pixels are wide where it lies, or `thickness_m` where that is more.
     """
     height, width = screen.depth.shape
-    first, rows, columns = pyramid_layout(height, width)
-    planes, bounds = np.empty((height, width, 4), np.float32), np.empty((int(first[-1]) + 1, 2), np.float32)
+    first, rows, columns = (of_level[:None if has_levels else 1] for of_level in pyramid_layout(height, width))
+    planes, bounds = np.empty((height, width, 4), np.float32), np.empty((int(first[-1] + rows[-1] * columns[-1]), 2),
+                                                                                   np.float32)
     _lay_planes(screen, f32(slack_px), f32(thickness_m), planes, bounds)
-    fill_pyramid(bounds, first, rows, columns)
+    if has_levels:
+        fill_pyramid(bounds, first, rows, columns)
     return DepthPyramid(planes, bounds, first, rows, columns)
 
 

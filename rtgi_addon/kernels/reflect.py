@@ -24,7 +24,7 @@ from .sampling import r2_sequence, uniform
 from .screen import HALF, seen_vs, turn_to_view, turn_to_world, view_vector
 from .screen_rays import ENDED, HIT, distance_at, march, march_evenly, ray_in_picture
 from .shadow import ORTHOGRAPHIC
-from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, lifted, load_pixel, normalized_or, scaled
+from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, lifted, load, load_pixel, normalized_or, scaled
 
 KNOWN, SKY, ASK = 0, 1, 2             # what a ray still needs: nothing, the world, the triangles
 BLOCK = 64                  # pixels that one thread follows in a row
@@ -40,15 +40,13 @@ class Rules(NamedTuple):
     """How rays are followed.
 
     top: highest level of the pyramid that is used, 0 for every pixel, -1 for even steps of `step_px`; stops_hidden: see
-    `screen_rays.march`; asks_all: the picture is not asked; asks: what is left goes to the triangles, else it is the
-    world's; fade_px: width of the frame's edge over which hits fade; offset_m: off surfaces; reach_m: leads out of picture
-    and scene.
+    `screen_rays.march`; asks: what the picture leaves goes to the triangles, else it is the world's; fade_px: width of the
+    frame's edge over which hits fade; offset_m: off surfaces; reach_m: leads out of picture and scene.
     """
 
     top: int
     step_px: float
     stops_hidden: bool
-    asks_all: bool
     asks: bool
     fade_px: np.float32
     offset_m: np.float32
@@ -123,18 +121,15 @@ def place_in_block(i, j):
 
 
 @device_jit
-def _reflect_block(index, begin, end, samples, s, pyramid, gloss, lights, rules, seed, rays):
-    """Draw and follow the rays of the pixels begin to end of `index`.
-
-    All of it in one function: the tuples of arrays are hundreds of numbers that each further call would copy.
-    """
-    width, reach = s.depth.shape[1], np.float64(rules.reach_m)
+def _draw_block(index, begin, end, samples, s, planes, gloss, rules, seed, rays):
+    """Draw the rays of the pixels begin to end of `index`."""
+    width = s.depth.shape[1]
     for m in range(begin, end):
         i, j = index[m] // width, index[m] % width
         p = load_pixel(s.position_ws, i, j)
-        viewer, plane = view_vector(s, p), plane_normal(s, pyramid.planes, i, j)
+        viewer, plane = view_vector(s, p), plane_normal(s, planes, i, j)
         n = usable_normal(load_pixel(s.normal_ws, i, j), plane, viewer)
-        origin, start_vs = lifted(p, plane, rules.offset_m), seen_vs(s, i, j)
+        origin = lifted(p, plane, rules.offset_m)
         alpha = gloss.roughness[i, j] * gloss.roughness[i, j]
         mirror = along(scaled(viewer, -ONE), n, f32(2) * dot(n, viewer))
         f0, gain, shift_u, shift_v, place = ONE, ONE, ZERO, ZERO, 0
@@ -152,54 +147,83 @@ def _reflect_block(index, begin, end, samples, s, pyramid, gloss, lights, rules,
                 u, v = r2_sequence(k * 16 + place, shift_u, shift_v)
                 d, weight = sample_lobe(n, viewer, alpha, u, v)
                 weight *= gain * fresnel(max(dot(normalized_or(add(viewer, d), n), viewer), ZERO), f0)
+            start = begun(origin, d, rules.offset_m)
+            rays.start[r, 0], rays.start[r, 1], rays.start[r, 2] = start.x, start.y, start.z
             rays.direction[r, 0], rays.direction[r, 1], rays.direction[r, 2] = d.x, d.y, d.z
-            rays.weight[r] = weight
+            rays.weight[r], rays.answer[r], rays.length_m[r] = weight, ASK if rules.asks else SKY, ZERO
             if not dot(d, plane) > ZERO:         # below the surface: Cycles lets such light be lost
                 rays.answer[r], rays.share[r], rays.length_m[r] = KNOWN, ONE, rules.reach_m
-                continue
-            share, length_m, lost_m, answer = ZERO, ZERO, ZERO, ASK if rules.asks else SKY
-            if not rules.asks_all:
-                ray = ray_in_picture(s, start_vs, turn_to_view(s, d), reach)
-                if rules.top < 0:
-                    what, at_i, at_j, at, rays.steps[r] = march_evenly(pyramid, ray, i, j, rules.step_px, rules.stops_hidden)
-                else:
-                    what, at_i, at_j, at, rays.steps[r] = march(pyramid, ray, i, j, rules.top, rules.stops_hidden)
-                if what == HIT:
-                    column, row, h = f32(ray.x + at * ray.dx), f32(ray.y + at * ray.dy), f32(ray.h + at * ray.dh)
-                    slope_x, slope_y = pyramid.planes[at_i, at_j, SLOPE_X], pyramid.planes[at_i, at_j, SLOPE_Y]
-                    if not lit_there(s, pyramid.planes, gloss, column, row, h, slope_x, slope_y, rays.light[r]):
-                        for c in range(3):
-                            rays.light[r, c] = gloss.leaving[at_i, at_j, c]
-                            rays.light[r, 3 + c] = gloss.emission[at_i, at_j, c]
-                    share, length_m = edge_fade(s, column, row, rules.fade_px), f32(distance_at(ray, at))
-                    hit = along(p, d, length_m)
-                    sent = gloss_of_lamps(
-                        lights, hit, load_pixel(s.normal_ws, at_i, at_j), scaled(d, -ONE), view_vector(s, hit),
-                        load_pixel(gloss.specular, at_i, at_j), gloss.roughness[at_i, at_j], gloss.irradiance[at_i, at_j],
-                        gloss.albedos, uniform(index[m], k, seed + 1), uniform(index[m], k, seed + 2))
-                    for c in range(3):
-                        rays.light[r, c] += sent[c]
-                elif what == ENDED and ray.dh <= 0.0:    # clear to behind the farthest thing that the camera sees
-                    answer = SKY
-                longest = max(abs(ray.dx), abs(ray.dy))
-                if longest > 0.0:
-                    lost_m = f32(distance_at(ray, max(at - BACK_PX / longest, 0.0)))
-            rays.answer[r], rays.share[r] = KNOWN if share >= ONE else answer, share
-            rays.length_m[r] = length_m if share > ZERO else lost_m
-            start = along(begun(origin, d, rules.offset_m), d, lost_m)
-            rays.start[r, 0], rays.start[r, 1], rays.start[r, 2] = start.x, start.y, start.z
 
 
 @pixel_jit
-def reflect_pixels(index, samples, screen, pyramid, gloss, lights, rules, seed, rays):
-    """Draw `samples` rays from the lobe of each pixel of `index` (M,) and follow them through the picture into `rays`.
+def draw_rays(index, samples, screen, planes, gloss, rules, seed, rays):
+    """Draw `samples` rays from the lobe of each pixel of `index` (M,) into `rays`, which must come from `make_rays`.
 
-    Ray m * samples + k is sample k of pixel m; `rays` must come from `make_rays`.
+    Ray m * samples + k is sample k of pixel m.
     """
     blocks = (len(index) + BLOCK - 1) // BLOCK
     for block in prange(blocks):
-        _reflect_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, pyramid, gloss, lights,
-                       rules, seed, rays)
+        _draw_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, planes, gloss, rules, seed,
+                    rays)
+
+
+@device_jit
+def _follow_block(index, begin, end, samples, s, pyramid, gloss, lights, rules, seed, rays):
+    """Follow the rays of the pixels begin to end of `index`.
+
+    All of it in one function: the tuples of arrays are hundreds of numbers that each further call would copy.
+    """
+    width, reach = s.depth.shape[1], np.float64(rules.reach_m)
+    for m in range(begin, end):
+        i, j = index[m] // width, index[m] % width
+        p, start_vs = load_pixel(s.position_ws, i, j), seen_vs(s, i, j)
+        for k in range(samples):
+            r = m * samples + k
+            if rays.answer[r] == KNOWN:
+                continue
+            d = load(rays.direction, r)
+            ray = ray_in_picture(s, start_vs, turn_to_view(s, d), reach)
+            if rules.top < 0:
+                what, at_i, at_j, at, rays.steps[r] = march_evenly(pyramid, ray, i, j, rules.step_px, rules.stops_hidden)
+            else:
+                what, at_i, at_j, at, rays.steps[r] = march(pyramid, ray, i, j, rules.top, rules.stops_hidden)
+            share, lost_m, longest = ZERO, ZERO, max(abs(ray.dx), abs(ray.dy))
+            if longest > 0.0:
+                lost_m = f32(distance_at(ray, max(at - BACK_PX / longest, 0.0)))
+            rays.length_m[r] = lost_m
+            if what == HIT:
+                column, row, h = f32(ray.x + at * ray.dx), f32(ray.y + at * ray.dy), f32(ray.h + at * ray.dh)
+                slope_x, slope_y = pyramid.planes[at_i, at_j, SLOPE_X], pyramid.planes[at_i, at_j, SLOPE_Y]
+                if not lit_there(s, pyramid.planes, gloss, column, row, h, slope_x, slope_y, rays.light[r]):
+                    for c in range(3):
+                        rays.light[r, c] = gloss.leaving[at_i, at_j, c]
+                        rays.light[r, 3 + c] = gloss.emission[at_i, at_j, c]
+                share, length_m = edge_fade(s, column, row, rules.fade_px), f32(distance_at(ray, at))
+                hit = along(p, d, length_m)
+                sent = gloss_of_lamps(
+                    lights, hit, load_pixel(s.normal_ws, at_i, at_j), scaled(d, -ONE), view_vector(s, hit),
+                    load_pixel(gloss.specular, at_i, at_j), gloss.roughness[at_i, at_j], gloss.irradiance[at_i, at_j],
+                    gloss.albedos, uniform(index[m], k, seed + 1), uniform(index[m], k, seed + 2))
+                for c in range(3):
+                    rays.light[r, c] += sent[c]
+                if share > ZERO:
+                    rays.length_m[r] = length_m
+            elif what == ENDED and ray.dh <= 0.0:    # clear to behind the farthest thing that the camera sees
+                rays.answer[r] = SKY
+            if share >= ONE:
+                rays.answer[r] = KNOWN
+            rays.share[r] = share
+            for c in range(3):
+                rays.start[r, c] += lost_m * rays.direction[r, c]
+
+
+@pixel_jit
+def follow_rays(index, samples, screen, pyramid, gloss, lights, rules, seed, rays):
+    """Follow the rays that `draw_rays` drew for the pixels of `index` (M,) through the picture."""
+    blocks = (len(index) + BLOCK - 1) // BLOCK
+    for block in prange(blocks):
+        _follow_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, pyramid, gloss, lights,
+                      rules, seed, rays)
 
 
 @pixel_jit

@@ -59,7 +59,7 @@ def _colours_at(around, albedos, t, a, b, cosine):
 
 @device_jit
 def _ask_block(asked, begin, end, index, samples, screen, planes, gloss, lights, bvh, around, rules, seed, rays):
-    """Answer the rays begin to end of `asked`; all of it in one function, see `reflect._reflect_block`."""
+    """Answer the rays begin to end of `asked`; all of it in one function, see `reflect._follow_block`."""
     width = screen.depth.shape[1]
     stack, light, other = np.empty(STACK, np.int32), np.empty(6, np.float32), np.empty(3, np.float32)
     for k in range(begin, end):
@@ -124,7 +124,7 @@ def _ask_block(asked, begin, end, index, samples, screen, planes, gloss, lights,
 
 @pixel_jit
 def ask_scene(asked, index, samples, screen, planes, gloss, lights, bvh, around, rules, seed, rays):
-    """Answer the rays `asked` (K,) of `rays`, those of `reflect_pixels`: what the picture did not give is added."""
+    """Answer the rays `asked` (K,) of `rays`, those of `draw_rays`: what the picture did not give is added."""
     blocks = (len(asked) + BLOCK - 1) // BLOCK
     for block in prange(blocks):
         _ask_block(asked, block * BLOCK, min((block + 1) * BLOCK, len(asked)), index, samples, screen, planes, gloss, lights,

@@ -30,7 +30,7 @@ from ..kernels.bvh import Bvh, build_bvh
 from ..kernels.depth_pyramid import build_pyramid
 from ..kernels.gloss_filter import FILTERED, blur_of_pixels, smooth_reflections, spread_reflections
 from ..kernels.lit_hits import Gloss, Lights
-from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Rules, collect_rays, make_rays, reflect_pixels
+from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Rules, collect_rays, draw_rays, follow_rays, make_rays
 from ..kernels.scene_light import Surroundings, ask_scene
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
@@ -52,7 +52,7 @@ WEAK_STEP = 2               # rays of a pixel that the lattice cannot serve are 
 TILE_RAYS = 1 << 17         # rays between two looks at Esc
 MAX_SKY = (512, 1024)       # a mirror shows the world at the resolution of its map, up to this
 
-_TOP = {"HIERARCHY": 99, "DDA": 0, "LINEAR": -1}
+_TOP = {"TRIANGLES": 99, "HIERARCHY": 99, "DDA": 0, "LINEAR": -1}    # the first where there are no triangles to ask
 
 
 def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0) -> PassResult:
@@ -243,7 +243,9 @@ class _Tracer:
         geometry = frame.geometry if frame.geometry is not None else Geometry.empty()
         has_rays = fallback == "RAYS"
         screen = screen_of(frame)
-        pyramid = build_pyramid(screen, SLACK_PX, 0.0 if has_rays else params.thickness * frame.scale_m)
+        self._looks_at_picture = not (params.method == "TRIANGLES" and has_rays)
+        pyramid = build_pyramid(screen, SLACK_PX, 0.0 if has_rays else params.thickness * frame.scale_m,
+                                self._looks_at_picture)
         lit = context.light.get(Transport.DIRECT_DIFFUSE)
         irradiance = np.zeros(g.shape, np.float32) if lit is None else lit @ np.full(3, 1 / 3, np.float32)
         gloss = Gloss(leaving_light(frame, context), g.emission, irradiance, g.specular, g.roughness,
@@ -257,8 +259,7 @@ class _Tracer:
         self.counts = {"rays": 0, "steps": 0, "hits": 0, "asked": 0, "traced_pixels": 0}
         self._params, self._context, self._seed, self._is_left_open = params, context, seed, fallback == "CONES"
         self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays,
-                            params.exact_rays and has_rays, has_rays, f32(fade_px), f32(frame.ray_offset_m),
-                            f32(reach_m))
+                            has_rays, f32(fade_px), f32(frame.ray_offset_m), f32(reach_m))
         self.screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
         self._lights = pack_lights(frame, reach_m)
         self._around = _surroundings(frame, geometry)
@@ -277,8 +278,9 @@ class _Tracer:
 
     def _trace_tile(self, index: np.ndarray, samples: int) -> None:
         rays = make_rays(len(index) * samples)
-        reflect_pixels(index, samples, self.screen, self._pyramid, self._gloss, self._lights, self._rules, self._seed,
-                       rays)
+        draw_rays(index, samples, self.screen, self._pyramid.planes, self._gloss, self._rules, self._seed, rays)
+        if self._looks_at_picture:
+            follow_rays(index, samples, self.screen, self._pyramid, self._gloss, self._lights, self._rules, self._seed, rays)
         if not self._is_left_open:
             asked = np.flatnonzero(rays.answer != KNOWN)
             ask_scene(asked, index, samples, self.screen, self._pyramid.planes, self._gloss, self._lights, self._bvh,

@@ -145,8 +145,8 @@ def test_ray_that_leaves_the_frame_is_lit_by_the_scene_and_not_black():
     floor = on_floor(frame)
     frame = glossy(frame, floor, 0.0)
     context = lit(frame)
-    exact = reflected(frame, context, exact_rays=True)[floor]
-    with_rays, alone = (reflected(frame, context, fallback=f)[floor] for f in ("RAYS", "WORLD"))
+    exact = reflected(frame, context, method="TRIANGLES")[floor]
+    with_rays, alone = (reflected(frame, context, method="HIERARCHY", fallback=f)[floor] for f in ("RAYS", "WORLD"))
     assert alone.sum() < 0.85 * exact.sum()
     assert abs(with_rays.sum() / exact.sum() - 1) < 0.02
     assert (with_rays.max(-1) > 0).mean() > 0.9 * (exact.max(-1) > 0).mean()
