@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from rtgi_addon.core.frame import Frame, GBuffer, Geometry, Light, LightKind, LightView
@@ -19,6 +21,13 @@ def looking(position: np.ndarray, towards: np.ndarray, up: tuple[float, float, f
     out = np.eye(4)
     out[:3, 0], out[:3, 1], out[:3, 2], out[:3, 3] = x, np.cross(z, x), z, position
     return out
+
+
+def with_matt_views(frame: Frame) -> Frame:
+    """`frame` as lamps see it without any gloss."""
+    views = (dataclasses.replace(view, gbuffer=dataclasses.replace(
+        view.gbuffer, specular=np.zeros_like(view.gbuffer.specular))) for view in frame.views)
+    return dataclasses.replace(frame, views=tuple(views))
 
 
 def quad(centre: tuple[float, float, float], half_x: float, half_y: float) -> np.ndarray:

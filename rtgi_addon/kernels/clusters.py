@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import fit_lobe
+from .brdf import fit_lobe, matt_share
 from .jit import device_jit, pixel_jit, prange
 from .vec3 import ONE, ZERO, dot, f32, load_pixel, normalized_or, sub
 
@@ -53,7 +53,7 @@ class Clusters(NamedTuple):
 
 @pixel_jit
 def fill_texels(table, first, reflects, position, normal, albedo, specular, roughness, flux, light_position, to_sun,
-                is_sun, albedos, use_glossy):
+                is_sun, albedos, means, use_glossy):
     """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row."""
     height, width = roughness.shape
     for i in prange(height):
@@ -67,9 +67,9 @@ def fill_texels(table, first, reflects, position, normal, albedo, specular, roug
             cosine = min(max(dot(n, w), ZERO), f32(0.999))
             reflectance = (specular[i, j, 0] + specular[i, j, 1] + specular[i, j, 2]) * f32(1 / 3)
             f0, gain = fit_lobe(reflectance, cosine, alpha, albedos)
-            diffuse, glossy = ZERO, ZERO
+            below, diffuse, glossy = matt_share(reflectance, cosine, alpha, f0, albedos, means), ZERO, ZERO
             for a in range(3):
-                table[DIFFUSE + a, k] = flux[i, j, a] * albedo[i, j, a]
+                table[DIFFUSE + a, k] = flux[i, j, a] * min(albedo[i, j, a] * below, ONE)
                 table[GLOSSY + a, k] = flux[i, j, a] * specular[i, j, a] * gain if use_glossy else ZERO
                 diffuse += table[DIFFUSE + a, k]
                 glossy += table[GLOSSY + a, k]

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..core.frame import Frame, Light, LightKind, LightView
 from ..core.techniques import RsmParams
-from ..kernels.brdf import albedo_table
+from ..kernels.brdf import albedo_table, mean_albedo_table
 from ..kernels.clusters import DIFFUSE, GLOSSY, ROWS, cluster_texels, fill_texels
 from ..kernels.gather import gather_visible
 from ..kernels.vec3 import f32, vector
@@ -50,7 +50,8 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
         g, light, count = view.gbuffer, frame.lights[view.light_index], np.count_nonzero(reflects, axis=1)
         fill_texels(table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo, g.specular,
                     g.roughness, view.incident_flux, vector(light.position_ws), vector(-light.direction_ws),
-                    light.kind is LightKind.SUN, albedo_table(frame.keeps_energy), use_glossy)
+                    light.kind is LightKind.SUN, albedo_table(frame.keeps_energy),
+                    mean_albedo_table(frame.keeps_energy), use_glossy)
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
         mine = slice(offset, offset + int(count.sum()))
         for row, factor in ((DIFFUSE, light.diffuse_factor), (GLOSSY, light.glossy_factor)):

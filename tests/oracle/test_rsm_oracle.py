@@ -18,6 +18,7 @@ from rtgi_addon.kernels.sampling import r2_sequence, uniform
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.rsm import MIN_DISTANCE2, compute_rsm, texel_table
 from tests.oracle import rsm_oracle
+from tests.plane_frames import with_matt_views
 
 FLOAT32 = 2e-5          # hundreds of float32 roundings in a sum of positive terms
 SHARP_LOBE = 2e-4       # float32 cancels digits of 1 - cos^2 at the peak of a lobe
@@ -228,7 +229,7 @@ def test_all_texels_equal_brute_force_without_visibility(room):
 @pytest.mark.parametrize("kind", [LightKind.SPOT, LightKind.POINT, LightKind.SUN])
 def test_polar_samples_over_the_whole_map_come_near_the_sum_over_diffuse_texels(kind):
     """In a room the disk of radius one map width holds most of the map: the published sampling ends at the same light."""
-    frame = make_room_frame(16, 12, (kind,))
+    frame = with_matt_views(make_room_frame(16, 12, (kind,)))
     whole = compute_rsm(frame, RsmParams(method="ALL", samples=16384, glossy_texels=False), Context(), 0)
     polar = compute_rsm(frame, RsmParams(method="PAPER", samples=16384, radius=1.0), Context(), 0)
     a, b = whole.light[Transport.BOUNCE_DIFFUSE], polar.light[Transport.BOUNCE_DIFFUSE]

@@ -18,7 +18,7 @@ from rtgi_addon.passes.voxel_light import LitVoxels, levels_of, light_voxels
 from rtgi_addon.passes.voxel_scene import Grid, VoxelScene, grid_of_frame, voxel_scene
 from rtgi_addon.passes.vxgi import compute_vxgi
 from tests.oracle import voxel_oracle as oracle
-from tests.plane_frames import geometry_of
+from tests.plane_frames import geometry_of, with_matt_views
 
 RNG = np.random.default_rng(4)
 QUANTA = 3e-4               # cells: planes are packed into 16 bits, a crossing at a slant shifts a few times their step
@@ -102,7 +102,7 @@ def by_brick(scene: VoxelScene, radiance: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("width", "parts", "tolerance"), [(64, 4, 0.08), (20, 8, 0.15)])
 def test_light_pass_sends_the_texels_flux_over_pi_and_area(width, parts, tolerance):
     # texels of half a voxel, and of one and a half; those at a silhouette have no neighbour to tell their size
-    frame = make_room_frame(width, width * 3 // 4, (LightKind.SPOT,), light_radius_m=0.0)
+    frame = with_matt_views(make_room_frame(width, width * 3 // 4, (LightKind.SPOT,), light_radius_m=0.0))
     scene = voxel_scene(frame.geometry, grid_of_frame(frame, Context(), 24))
     got, wanted = light_voxels(frame, scene, use_glossy=False).radiance[..., :3], flux_over_area(frame, scene, parts)
     assert wanted.max() > 0

@@ -7,7 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from rtgi_addon.kernels.brdf import F0, albedo_table, fit_lobe, fresnel, ggx_lobe, sample_lobe
+from rtgi_addon.kernels.brdf import (
+    F0,
+    GAIN_STEPS,
+    albedo_table,
+    fit_lobe,
+    fresnel,
+    ggx_lobe,
+    lobe_albedos,
+    matt_share,
+    mean_albedo_table,
+    sample_lobe,
+)
 from rtgi_addon.kernels.vec3 import Vec3, f32
 
 UP = Vec3(f32(0), f32(0), f32(1))
@@ -83,6 +94,25 @@ def test_what_reflects_like_a_dielectric_is_one(cosine):
 @pytest.mark.parametrize("f0", [0.3, 0.6, 0.95])
 def test_metal_keeps_its_reflectance_at_normal_incidence(f0):
     assert fit_lobe(f32(f0), f32(1), f32(0.1), albedo_table())[0] == pytest.approx(f0, rel=0.01)
+
+
+def dielectric_reflectance(cosine, alpha):
+    flat, rise = lobe_albedos(albedo_table(), f32(cosine), f32(alpha))
+    return F0 * flat + (1 - F0) * rise
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.25, 0.9])
+def test_what_lies_under_a_dielectric_sends_out_in_the_mean_what_the_lobe_leaves(alpha):
+    cosines = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
+    left = [1 - dielectric_reflectance(c, alpha) for c in cosines]
+    mean = 2 * np.mean(np.array(left) * cosines)
+    for cosine, seen in list(zip(cosines, left, strict=True))[4::9]:      # below, fit_lobe's bound of r decides
+        share = matt_share(f32(1 - seen), f32(cosine), f32(alpha), F0, albedo_table(), mean_albedo_table())
+        assert share * seen == pytest.approx(mean, rel=2e-3)              # a table in float32, interpolated
+
+
+def test_nothing_lies_under_a_metal():
+    assert matt_share(f32(0.7), f32(0.4), f32(0.2), f32(0.65), albedo_table(), mean_albedo_table()) == 1
 
 
 def test_table_is_finite_and_no_surface_reflects_more_than_it_gets():
