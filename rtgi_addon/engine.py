@@ -260,7 +260,7 @@ def _output_values(frame, result):
         return sum(present[1:], start=present[0]) / np.float32(np.pi) if present else black
 
     direct, world = radiosity(T.DIRECT_DIFFUSE, T.EMISSION_DIFFUSE), radiosity(T.WORLD_DIFFUSE)
-    bounce = radiosity(T.BOUNCE_DIFFUSE, T.NEAR_DIFFUSE)
+    bounce = radiosity(T.BOUNCE_DIFFUSE, T.NEAR_DIFFUSE, T.WORLD_BOUNCE_DIFFUSE)
     albedo = frame.gbuffer.albedo
     direct_glossy, world_glossy = light.get(T.DIRECT_GLOSSY, black), light.get(T.WORLD_GLOSSY, black)
     return {

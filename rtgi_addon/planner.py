@@ -135,14 +135,19 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
         return "there is no lamp"
     if name == "world" and frame.world.is_black:
         return "the world is black"
+    has_emitters = frame.geometry is not None and bool(frame.geometry.emission.any())
+    if name == "emission" and not has_emitters:
+        return "no surface shines"
+    if name == "final_gather" and frame.world.is_black and not has_emitters:
+        return "the world is black, and no surface shines"
     if name == "ssr" and not (frame.gbuffer.specular[mask] > NEGLIGIBLE).any():
         return "no surface in view is glossy"
     if name == "ssr" and not (frame.lights or not frame.world.is_black or frame.gbuffer.emission[mask].any()
-                              or (frame.geometry is not None and frame.geometry.emission.any())):
+                              or has_emitters):
         return "there is no light to reflect"
     is_lit = any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views)
     if name in ("rsm", "lpv") and not is_lit:
         return "no lamp lights a surface" if frame.lights else "there is no lamp"
-    if name == "vxgi" and not is_lit and (frame.geometry is None or not frame.geometry.emission.any()):
+    if name == "vxgi" and not is_lit and not has_emitters:
         return "no lamp lights a surface, and none shines by itself"
     return None

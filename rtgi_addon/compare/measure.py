@@ -18,7 +18,7 @@ TRANSPORTS_OF: dict[str, tuple[Transport, ...]] = {
                Transport.WORLD_GLOSSY),
     "direct diffuse": (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE),
     "direct glossy": (Transport.DIRECT_GLOSSY, Transport.WORLD_GLOSSY),
-    "bounce": (Transport.BOUNCE_DIFFUSE, Transport.NEAR_DIFFUSE),
+    "bounce": (Transport.BOUNCE_DIFFUSE, Transport.NEAR_DIFFUSE, Transport.WORLD_BOUNCE_DIFFUSE),
     "glossy bounce": (Transport.BOUNCE_GLOSSY,),
 }
 BLACK = 1e-9                # a part with less than this share of the picture's light is not there

@@ -39,6 +39,21 @@ class WorldParams(Params):
 
 
 @dataclass(frozen=True)
+class EmissionParams(Params):
+    """Light of emissive surfaces that reaches a pixel without a bounce."""
+
+    rays: int = param(
+        24, "Rays to emissive surfaces from each gather point; noise falls with the square root", low=1, high=1024,
+        soft_high=256)
+    clusters: int = param(
+        512, "Groups that points on emissive surfaces are put into; more follow many small ones better",
+        low=16, high=16384, soft_high=4096)
+    lattice_px: int = param(
+        4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
+        low=1, high=16, soft_high=8, unit="px")
+
+
+@dataclass(frozen=True)
 class RsmParams(Params):
     """Reflective shadow maps: the surfaces that a lamp lights, seen from the lamp, give the bounce."""
 
@@ -142,6 +157,17 @@ class LpvParams(Params):
 
 
 @dataclass(frozen=True)
+class FinalGatherParams(Params):
+    """The bounce of the world's light and of emissive surfaces: rays that ask their hits."""
+
+    rays: int = param(
+        24, "Rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
+    lattice_px: int = param(
+        4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
+        low=1, high=16, soft_high=8, unit="px")
+
+
+@dataclass(frozen=True)
 class SsrParams(Params):
     """Screen-space reflections: glossy surfaces show what the picture, and beyond it the scene, holds."""
 
@@ -173,18 +199,21 @@ class SsrParams(Params):
         "shorter side", low=0.0, high=0.5)
 
 
-TECHNIQUE_PARAMS: dict[str, type[Params]] = {"direct": DirectParams, "world": WorldParams, "rsm": RsmParams,
-                                             "vxgi": VxgiParams, "lpv": LpvParams, "ssr": SsrParams}
+TECHNIQUE_PARAMS: dict[str, type[Params]] = {
+    "direct": DirectParams, "world": WorldParams, "emission": EmissionParams, "rsm": RsmParams, "vxgi": VxgiParams,
+    "lpv": LpvParams, "final_gather": FinalGatherParams, "ssr": SsrParams}
 
 # these run in every render and have no toggle
-ALWAYS_ON = ("direct", "world")
+ALWAYS_ON = ("direct", "world", "emission")
 
 LABELS: dict[str, str] = {
     "direct": "Direct Light",
     "world": "World Light",
+    "emission": "Emissive Surfaces",
     "rsm": "Reflective Shadow Maps",
     "vxgi": "Voxel Global Illumination",
     "lpv": "Light Propagation Volumes",
+    "final_gather": "Final Gathering",
     "ssr": "Screen-Space Reflections",
 }
 
@@ -193,25 +222,31 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
     "DRAFT": {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 8, "rays": 16},
+        "emission": {"lattice_px": 8, "rays": 16, "clusters": 256},
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
         "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
         "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
+        "final_gather": {"lattice_px": 8, "rays": 12},
         "ssr": {"samples": 4},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 4, "rays": 32},
+        "emission": {"lattice_px": 4, "rays": 24, "clusters": 512},
         "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
         "vxgi": {"resolution": 128, "lattice_px": 4, "cones": 32},
         "lpv": {"resolution": 32, "directions": 4, "lattice_px": 6},
+        "final_gather": {"lattice_px": 4, "rays": 24},
         "ssr": {"samples": 8},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},
         "world": {"lattice_px": 2, "rays": 64},
+        "emission": {"lattice_px": 2, "rays": 64, "clusters": 1024},
         "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
         "vxgi": {"resolution": 256, "lattice_px": 2, "cones": 64},
         "lpv": {"resolution": 48, "directions": 6, "lattice_px": 3},
+        "final_gather": {"lattice_px": 2, "rays": 64},
         "ssr": {"samples": 64},
     },
 }

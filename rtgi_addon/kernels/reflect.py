@@ -20,11 +20,27 @@ from .brdf import fit_lobe, fresnel, sample_lobe
 from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y
 from .jit import device_jit, pixel_jit, prange
 from .lit_hits import edge_fade, gloss_of_lamps, lit_there
-from .sampling import r2_sequence, uniform
+from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .screen import HALF, seen_vs, turn_to_view, turn_to_world, view_vector
 from .screen_rays import ENDED, HIT, distance_at, march, march_evenly, ray_in_picture
 from .shadow import ORTHOGRAPHIC
-from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, lifted, load, load_pixel, normalized_or, scaled
+from .vec3 import (
+    ONE,
+    ZERO,
+    Vec3,
+    add,
+    along,
+    begun,
+    dot,
+    f32,
+    lifted,
+    load,
+    load_pixel,
+    normalized_or,
+    scaled,
+    tangent_frame,
+    to_world,
+)
 
 KNOWN, SKY, ASK = 0, 1, 2             # what a ray still needs: nothing, the world, the triangles
 BLOCK = 64                  # pixels that one thread follows in a row
@@ -165,6 +181,29 @@ def draw_rays(index, samples, screen, planes, gloss, rules, seed, rays):
     for block in prange(blocks):
         _draw_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, planes, gloss, rules, seed,
                     rays)
+
+
+@device_jit
+def _aim_from(m, position, normal, point, samples, offset_m, seed, rays):
+    """Aim the rays of point m, of number `point`."""
+    p, n = load(position, m), load(normal, m)
+    tangent, bitangent = tangent_frame(n)
+    origin, shift_u, shift_v = lifted(p, n, offset_m), uniform(point, seed, 0), uniform(point, seed, 1)
+    for k in range(samples):
+        r = m * samples + k
+        u, v = r2_sequence(k, shift_u, shift_v)
+        d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
+        start = begun(origin, d, offset_m)
+        rays.start[r, 0], rays.start[r, 1], rays.start[r, 2] = start.x, start.y, start.z
+        rays.direction[r, 0], rays.direction[r, 1], rays.direction[r, 2] = d.x, d.y, d.z
+        rays.weight[r], rays.answer[r] = ONE, ASK
+
+
+@pixel_jit
+def aim_rays(position, normal, ids, samples, offset_m, seed, rays):
+    """Aim `samples` rays by the cosine from each of the points (M, 3) with normals (M, 3), left to the triangles."""
+    for m in prange(len(ids)):
+        _aim_from(m, position, normal, ids[m], samples, offset_m, seed, rays)
 
 
 @device_jit

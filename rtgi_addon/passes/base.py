@@ -19,8 +19,9 @@ class Transport(enum.Enum):
     """A kind of light path; `composite` lets each have one owner only.
 
     Direct, world and emission light comes straight from lamps, from the background and from emissive surfaces; bounce light
-    takes one surface between. Diffuse transports are irradiance (W/m2) on the pixel's surface; glossy ones are radiance
-    (W/(m2 sr)) that leaves the pixel towards the camera, colour included.
+    takes one surface between: that of lamps, and as "world bounce" that of the world and of emissive surfaces. Diffuse
+    transports are irradiance (W/m2) on the pixel's surface; glossy ones are radiance (W/(m2 sr)) that leaves the pixel
+    towards the camera, colour included.
     """
 
     DIRECT_DIFFUSE = "direct diffuse"
@@ -30,6 +31,7 @@ class Transport(enum.Enum):
     EMISSION_DIFFUSE = "emission diffuse"
     BOUNCE_DIFFUSE = "bounce diffuse"
     NEAR_DIFFUSE = "near bounce diffuse"
+    WORLD_BOUNCE_DIFFUSE = "world bounce diffuse"
     BOUNCE_GLOSSY = "bounce glossy"
 
     @property

@@ -22,7 +22,7 @@ import math
 
 import numpy as np
 
-from ..core.frame import Frame, Geometry, Material
+from ..core.frame import Frame, Geometry, Light, Material
 from ..core.techniques import SsrParams
 from ..core.transforms import Projection, normalized
 from ..kernels.brdf import GAIN_STEPS, albedo_table
@@ -52,6 +52,7 @@ WEAK_STEP = 2               # rays of a pixel that the lattice cannot serve are 
 TILE_RAYS = 1 << 17         # rays between two looks at Esc
 MAX_SKY = (512, 1024)       # a mirror shows the world at the resolution of its map, up to this
 
+_DIRECT = (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE)
 _TOP = {"TRIANGLES": 99, "HIERARCHY": 99, "DDA": 0, "LINEAR": -1}    # the first where there are no triangles to ask
 
 
@@ -153,12 +154,11 @@ def _fallback_of(frame: Frame, params: SsrParams, context: Context) -> str:
     return "WORLD" if fallback == "RAYS" and frame.geometry is None else fallback
 
 
-def leaving_light(frame: Frame, context: Context) -> np.ndarray:
-    """(H, W, 3) float32 W/(m2 sr): what each pixel's matt surface sends out after direct light has reached it."""
-    arrived = [context.light[t] for t in (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE)
-               if t in context.light]
+def leave_surfaces(frame: Frame, context: Context, arrived: tuple[Transport, ...]) -> np.ndarray:
+    """(H, W, 3) float32 W/(m2 sr): what each pixel's matt surface sends out after the light of `arrived` has reached it."""
+    present = [context.light[t] for t in arrived if t in context.light]
     out = frame.gbuffer.albedo * np.float32(1 / math.pi)
-    out *= sum(arrived[1:], start=arrived[0]) if arrived else np.float32(0)
+    out *= sum(present[1:], start=present[0]) if present else np.float32(0)
     return out
 
 
@@ -203,7 +203,8 @@ def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
     return np.array(rows, np.float32).reshape(-1, 5)
 
 
-def _surroundings(frame: Frame, geometry: Geometry) -> Surroundings:
+def surroundings_of(frame: Frame, geometry: Geometry) -> Surroundings:
+    """What rays meet beyond the picture."""
     sky = shrink_map(frame.world.radiance, MAX_SKY)
     blurred = shrink_map(frame.world.radiance)
     material = np.clip(geometry.material, 0, max(len(frame.materials) - 1, 0)).astype(np.int32)
@@ -215,9 +216,9 @@ def _surroundings(frame: Frame, geometry: Geometry) -> Surroundings:
         substance_table(frame.materials or (Material("none"),)), sky, blurred, bool(sky.any() or geometry.emission.any()))
 
 
-def pack_lights(frame: Frame, far_m: float) -> Lights:
-    """All lamps as kernels take them; shadow rays towards a sun are `far_m` long."""
-    lights, lamps = frame.lights, [pack_lamp(light, far_m) for light in frame.lights]
+def pack_lights(lights: tuple[Light, ...], far_m: float) -> Lights:
+    """Lamps as kernels take them; shadow rays towards a sun are `far_m` long."""
+    lamps = [pack_lamp(light, far_m) for light in lights]
     powers = [[*(light.power * light.diffuse_factor), *(light.power * light.glossy_factor)] for light in lights]
     return Lights(np.array([lamp.kind for lamp in lamps], np.int64),
                   np.array([lamp.places for lamp in lamps], np.float32).reshape(-1, 4, 3),
@@ -225,7 +226,7 @@ def pack_lights(frame: Frame, far_m: float) -> Lights:
                   np.array(powers, np.float32).reshape(-1, 6), np.array([light.casts_shadow for light in lights], np.uint8))
 
 
-def _reach_m(frame: Frame, bvh: Bvh) -> float:
+def reach_out_m(frame: Frame, bvh: Bvh) -> float:
     """A length in m that leads from every pixel out of all triangles and past the farthest thing seen."""
     seen = frame.gbuffer.position_ws              # 0 where nothing is seen
     far = [seen.max(initial=0), -seen.min(initial=0), np.abs(frame.camera.position_ws).max()]
@@ -248,10 +249,10 @@ class _Tracer:
                                 self._looks_at_picture)
         lit = context.light.get(Transport.DIRECT_DIFFUSE)
         irradiance = np.zeros(g.shape, np.float32) if lit is None else lit @ np.full(3, 1 / 3, np.float32)
-        gloss = Gloss(leaving_light(frame, context), g.emission, irradiance, g.specular, g.roughness,
+        gloss = Gloss(leave_surfaces(frame, context, _DIRECT), g.emission, irradiance, g.specular, g.roughness,
                       albedo_table(frame.keeps_energy))
         bvh = context.bvh(frame.geometry) if has_rays else build_bvh(np.zeros((0, 3, 3), np.float32))
-        reach_m = _reach_m(frame, bvh)
+        reach_m = reach_out_m(frame, bvh)
         fade_px = params.edge_fade * min(g.shape)
         # a mirror shows itself by one ray
         self._is_bright = (np.max([g.specular[..., c] for c in range(3)], 0) > BRIGHT) & (g.roughness > MIRROR_ROUGHNESS)
@@ -261,8 +262,8 @@ class _Tracer:
         self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays,
                             has_rays, f32(fade_px), f32(frame.ray_offset_m), f32(reach_m))
         self.screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
-        self._lights = pack_lights(frame, reach_m)
-        self._around = _surroundings(frame, geometry)
+        self._lights = pack_lights(frame.lights, reach_m)
+        self._around = surroundings_of(frame, geometry)
 
     def trace(self, step: np.ndarray, wanted: np.ndarray) -> None:
         """Reflect the `wanted` pixels (H, W) bool with the rays that a pixel of their step and brightness takes."""

@@ -39,7 +39,7 @@ def pixels(frame, light):
 
 def sent(frame, i, j, towards, irradiance):
     g = frame.gbuffer
-    return gloss_of_lamps(pack_lights(frame, 100.0), vector(g.position_ws[i, j]), vector(g.normal_ws[i, j]), towards,
+    return gloss_of_lamps(pack_lights(frame.lights, 100.0), vector(g.position_ws[i, j]), vector(g.normal_ws[i, j]), towards,
                           towards_camera(frame, g.position_ws[i, j]), vector(g.specular[i, j]), g.roughness[i, j],
                           f32(irradiance), albedo_table(), f32(0.5), f32(0.5))
 
@@ -73,7 +73,8 @@ def test_other_directions_are_as_the_triangles_lit_anew(frame):
     for direction in ((0.6, 0.0, 0.8), (-0.8, 0.2, 0.4)):
         towards = vector(np.array(direction) / np.linalg.norm(direction))
         mine = np.array(sent(frame, i, j, towards, 1e9))
-        anew = np.array([light_of_lamps(bvh, pack_lights(bare, 100.0), stack, p, n, towards, black, vector(np.full(3, s)),
+        lamps = pack_lights(bare.lights, 100.0)
+        anew = np.array([light_of_lamps(bvh, lamps, stack, p, n, towards, black, vector(np.full(3, s)),
                                         g.roughness[i, j], albedo_table(), f32(1e-5), f32(0.5), f32(0.5), f32(0.5))
                          for s in (0.02, 0.06, 0.12)])
         # between a reflectance of a third and of twice the one towards the camera: it follows the angle, not the lobe

@@ -32,6 +32,16 @@ def test_a_black_world_and_no_lamp_leave_everything_out(frame):
     assert ("World Light", "the world is black") in plan.left_out
 
 
+def test_what_shines_by_itself_is_asked_for_its_light_and_its_bounce(frame):
+    dark = dataclasses.replace(make_room_frame(24, 16, ()))
+    plan = planner.plan_frame(dark, default_settings(), planner.CapturePlan())
+    assert not {"emission", "final_gather"} & set(plan.techniques)
+    assert ("Emissive Surfaces", "no surface shines") in plan.left_out
+    geometry = dataclasses.replace(dark.geometry, emission=np.ones_like(dark.geometry.emission))
+    plan = planner.plan_frame(dataclasses.replace(dark, geometry=geometry), default_settings(), planner.CapturePlan())
+    assert {"emission", "final_gather"} <= set(plan.techniques) and "vxgi" not in plan.techniques
+
+
 def _light(value, **kwargs):
     return PassResult({Transport.BOUNCE_GLOSSY: np.full((1, 1, 3), value, np.float32)}, **kwargs)
 

@@ -37,11 +37,11 @@ def test_every_number_has_a_range_and_every_field_a_description():
 
 def test_listed_techniques_run_without_the_planner():
     settings = default_settings(techniques=["rsm"])
-    assert not settings.use_auto and [k for k, v in settings.enabled.items() if v] == ["direct", "world", "rsm"]
+    assert not settings.use_auto and [k for k, v in settings.enabled.items() if v] == ["direct", "world", "emission", "rsm"]
 
 
 def test_empty_list_leaves_what_always_runs():
-    assert [k for k, v in default_settings(techniques=[]).enabled.items() if v] == ["direct", "world"]
+    assert [k for k, v in default_settings(techniques=[]).enabled.items() if v] == ["direct", "world", "emission"]
 
 
 def test_unknown_technique_is_refused():
