@@ -77,7 +77,7 @@ class RsmParams(Params):
         4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
     rays: int = param(
-        24, "Visibility rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
+        16, "Visibility rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
     clusters: int = param(
         512, "Groups that the lit texels of all lamps are put into; more follow small bright places better",
         low=16, high=16384, soft_high=4096)
@@ -223,7 +223,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 8, "rays": 16},
         "emission": {"lattice_px": 8, "rays": 16, "clusters": 256},
-        "rsm": {"lattice_px": 8, "rays": 16, "clusters": 256},
+        "rsm": {"lattice_px": 8, "rays": 12, "clusters": 256},
         "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
         "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
         "final_gather": {"lattice_px": 8, "rays": 12},
@@ -233,7 +233,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 4, "rays": 32},
         "emission": {"lattice_px": 4, "rays": 24, "clusters": 512},
-        "rsm": {"lattice_px": 4, "rays": 24, "clusters": 512},
+        "rsm": {"lattice_px": 4, "rays": 16, "clusters": 512},
         "vxgi": {"resolution": 128, "lattice_px": 4, "cones": 32},
         "lpv": {"resolution": 32, "directions": 4, "lattice_px": 6},
         "final_gather": {"lattice_px": 4, "rays": 24},

@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from .filters import falloff
 from .jit import device_jit, pixel_jit, prange
 from .reflect import NEARNESS, SHARE
 from .screen import seen_vs
@@ -41,16 +42,16 @@ def _width_m(s, i, j):
 
 
 @device_jit
-def _likeness(s, roughness, i, j, u, v, step_m):
-    """Weight in [0, 1] of pixel (u, v) for (i, j): nearness to the plane, likeness of normal and roughness."""
+def _difference(s, roughness, i, j, u, v, step_m):
+    """How unlike pixel (u, v) is to (i, j), 0 and more: distance to the plane, difference of normal and roughness."""
     n, alpha = load_pixel(s.normal_ws, i, j), roughness[i, j] * roughness[i, j]
     cosine = dot(n, load_pixel(s.normal_ws, u, v))
     if not cosine > ZERO:
-        return ZERO
+        return WIDE
     off = abs(dot(n, sub(load_pixel(s.position_ws, u, v), load_pixel(s.position_ws, i, j)))) / (PLANE_TOLERANCE_PX * step_m)
     turned = f32(4) * (ONE - cosine) / (alpha * alpha + LEAST_ALPHA2)
     rougher = (roughness[u, v] * roughness[u, v] - alpha) / (f32(0.3) * alpha + f32(0.01))
-    return math.exp(-off - turned - rougher * rougher)
+    return off + turned + rougher * rougher
 
 
 @pixel_jit
@@ -99,7 +100,7 @@ def smooth_reflections(results, blur, wanted, screen, roughness, step, traced, r
                     d, sigma = sub(load_pixel(screen.position_ws, u, v), p), min(blur[i, j], blur[u, v])
                     if not dot(d, d) < FARTHEST * sigma * sigma:
                         continue
-                    k = _likeness(screen, roughness, i, j, u, v, step_m) * math.exp(-f32(0.5) * dot(d, d) / (sigma * sigma))
+                    k = falloff(_difference(screen, roughness, i, j, u, v, step_m) + f32(0.5) * dot(d, d) / (sigma * sigma))
                     total += k
                     for c in range(FILTERED):
                         out[i, j, c] += k * results[u, v, c]
@@ -128,7 +129,7 @@ def spread_reflections(smooth, blur, screen, roughness, step, traced, weak):
                     if u < 0 or v < 0 or u >= height or v >= width or not traced[u, v]:
                         continue
                     tent = max(f32(2 * s) - f32(abs(u - i)), ZERO) * max(f32(2 * s) - f32(abs(v - j)), ZERO) / f32(s * s)
-                    k = tent * tent * _likeness(screen, roughness, i, j, u, v, step_m)
+                    k = tent * tent * falloff(_difference(screen, roughness, i, j, u, v, step_m))
                     total += k
                     x = ZERO
                     for c in range(FILTERED):
