@@ -15,6 +15,7 @@ from . import kit, patterns
 FRAMES = 20
 AJAR_DEG, OPEN_DEG = 6.0, 105.0
 WIDTH_M, HEIGHT_M = 1.0, 2.1
+HIDDEN_M = 0.02             # of the wall's edges behind the door frame, whose faces must not lie in theirs
 
 
 def build(scene: bpy.types.Scene) -> None:
@@ -72,10 +73,10 @@ def _rooms() -> None:
     kit.boxes("dark room", sides, blue)
     sides = [((0.1, 4, 2.6), (-3, 2, 0)), ((0.1, 4, 2.6), (3, 2, 0)), ((6.1, 0.1, 2.6), (0, 4, 0))]
     kit.boxes("lit room", sides, yellow)
-    side = (6 - WIDTH_M) / 2
-    left, right = -(WIDTH_M + side) / 2, (WIDTH_M + side) / 2
-    parts = [((side, 0.1, 2.6), (left, 0, 0)), ((side, 0.1, 2.6), (right, 0, 0))]
-    kit.boxes("partition", [*parts, ((WIDTH_M, 0.1, 2.6 - HEIGHT_M), (0, 0, HEIGHT_M))], white)
+    gap = WIDTH_M + 2 * HIDDEN_M
+    side, top = (6 - gap) / 2, HEIGHT_M + HIDDEN_M
+    parts = [((side, 0.1, 2.6), (-(gap + side) / 2, 0, 0)), ((side, 0.1, 2.6), ((gap + side) / 2, 0, 0))]
+    kit.boxes("partition", [*parts, ((gap, 0.1, 2.6 - top), (0, 0, top))], white)
     frame = [((0.08, 0.16, HEIGHT_M), (-WIDTH_M / 2 - 0.04, 0, 0)), ((0.08, 0.16, HEIGHT_M), (WIDTH_M / 2 + 0.04, 0, 0))]
     frame.append(((WIDTH_M + 0.16, 0.16, 0.08), (0, 0, HEIGHT_M)))
     kit.boxes("door frame", frame, kit.material("frame paint", (0.8, 0.78, 0.75), roughness=0.35), bevel_m=0.01)
