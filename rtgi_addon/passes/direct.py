@@ -94,7 +94,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
         common = (pack_lamp(light, far_m), colours, pixels, seed * 7919 + index)
         asked[light.name] = 0
         for tile in range(tiles):
-            context.checkpoint("Direct light", (index + tile / tiles) / len(frame.lights))
+            context.checkpoint("Direct Light", (index + tile / tiles) / len(frame.lights))
             part = surface[tile * len(surface) // tiles:(tile + 1) * len(surface) // tiles]
             _light_pixels(part, *common, shadow_map, test, bare, out, state)
             left = part[state[part] == shadow.ASK]
@@ -383,5 +383,5 @@ def _ask_map(index, colours, pixels, shadow_map, bare, out):
         _add(q, bare.diffuse[q] * share, bare.glossy[q] * share, colours, pixels, out)
 
 
-TECHNIQUE = Technique("direct", "Direct light", DirectParams, compute_direct,
+TECHNIQUE = Technique("direct", "Direct Light", DirectParams, compute_direct,
                       frozenset({Transport.DIRECT_DIFFUSE, Transport.DIRECT_GLOSSY}), needs_geometry=True, needs_views=True)
