@@ -119,7 +119,6 @@ class RTGI_PT_quality(_RenderPanel, bpy.types.Panel):
     """Preset and choice of techniques."""
 
     bl_label = "RTGI"
-    bl_order = -3                                # above what Cycles shows too
 
     def draw_header_preset(self, _context: bpy.types.Context) -> None:
         presets.RTGI_PT_presets.draw_panel_header(self.layout)
@@ -198,7 +197,6 @@ class RTGI_PT_last_render(_RenderPanel, bpy.types.Panel):
 
     bl_label = "Last Render"
     bl_options = {"DEFAULT_CLOSED"}
-    bl_order = -2
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, report = self.layout, last_report()
@@ -252,7 +250,6 @@ class RTGI_PT_compare(_RenderPanel, bpy.types.Panel):
 
     bl_label = "Compare with Cycles"
     bl_options = {"DEFAULT_CLOSED"}
-    bl_order = -1
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, session, found = self.layout, context.window_manager.rtgi, tasks.last_comparison()

@@ -44,3 +44,8 @@ def show(image: bpy.types.Image) -> None:
         area = max(editors, key=lambda area: area.width * area.height)
         area.spaces.active.image = image
         area.tag_redraw()
+        region = next((region for region in area.regions if region.type == "WINDOW"), None)
+        window = next((window for window in manager.windows if area in list(window.screen.areas)), None)
+        if region is not None and window is not None and not bpy.app.background:
+            with bpy.context.temp_override(window=window, area=area, region=region):
+                bpy.ops.image.view_all(fit_view=True)

@@ -141,7 +141,7 @@ class _TaskOperator:
             return {"PASS_THROUGH"}
         if task.is_stopped or _running is not task:
             self.cancel(context)
-            self.report({"INFO"}, f"RTGI: {task.title.lower()} was stopped")
+            self.report({"INFO"}, f"{task.title}: stopped")
             return {"CANCELLED"}
         if task.child.exit_code() is None:
             self._show(context)
@@ -175,7 +175,7 @@ class _TaskOperator:
         if task.child.exit_code() != 0:
             said = [line for line in task.child.lines() if line.startswith("rtgi: ")]
             why = said[-1].removeprefix("rtgi: ") if said else f"exit code {task.child.exit_code()}"
-            self.report({"ERROR"}, f"RTGI: {task.title.lower()} failed: {why}")
+            self.report({"ERROR"}, f"{task.title}: {why}")
             return {"CANCELLED"}
         self._end(context, task)
         return {"FINISHED"}

@@ -70,6 +70,9 @@ class Driver:
     def area(self, kind: str) -> bpy.types.Area:
         return next(area for area in self.window.screen.areas if area.type == kind)
 
+    def region(self, kind: str) -> bpy.types.Region:
+        return next(region for region in self.area(kind).regions if region.type == "WINDOW")
+
     def wish(self, **what: str) -> Iterator[float]:
         """Ask who waits outside for a key or a picture; Blender's simulated Esc does not reach a render's job."""
         self._wishes += 1
@@ -117,6 +120,9 @@ class Driver:
         yield from self.look_at_panels("panels_before")
         yield from self.render("first render")
         engine = sys.modules["rtgi_addon.engine"]
+        self.area("IMAGE_EDITOR").spaces.active.image = bpy.data.images["Render Result"]
+        with bpy.context.temp_override(window=self.window, area=self.area("IMAGE_EDITOR"), region=self.region("IMAGE_EDITOR")):
+            bpy.ops.image.view_all(fit_view=True)
         self.seen["mean"] = float(engine.last_result().combined[..., :3].mean())
         yield from self.look_at_panels("panels_after")
         yield from self.views_and_undo(engine)
@@ -154,8 +160,7 @@ class Driver:
             yield 0.2
             if tab in ("VIEW_LAYER", "RENDER"):
                 yield from self.picture(f"{name}_{tab.lower()}")
-        area = self.area("PROPERTIES")
-        region = next(region for region in area.regions if region.type == "WINDOW")
+        area, region = self.area("PROPERTIES"), self.region("PROPERTIES")
         for page in range(1, 4):
             with bpy.context.temp_override(window=self.window, area=area, region=region):
                 bpy.ops.view2d.scroll_down(page=True)

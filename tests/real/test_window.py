@@ -24,6 +24,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 RENDERS = int(os.environ.get("RTGI_WINDOW_RENDERS", "5"))
+DRIVER_WORDS = shlex.split(os.environ.get("RTGI_WINDOW_WORDS", ""))      # such as --scene glossy_hall --open-panels
 # what a growing render leaves behind is far above this: a Cycles session is 270 MB
 GROWTH_MB = 100.0
 
@@ -73,7 +74,7 @@ def seen() -> dict:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     words = [*command, "--window-geometry", "0", "0", "1600", "1000", "--python-exit-code", "1",
-             "--python", "tests/real/drive.py", "--", "-o", "out/real", "--renders", str(RENDERS)]
+             "--python", "tests/real/drive.py", "--", "-o", "out/real", "--renders", str(RENDERS), *DRIVER_WORDS]
     with (out / "log.txt").open("wb") as log, screen() as display:
         # a session of its own: the command may be a script with children, and all of it ends here
         process = subprocess.Popen(words, cwd=ROOT, env={**os.environ, "DISPLAY": display}, stdout=log,
