@@ -93,8 +93,8 @@ def chosen_wheels(folder: Path) -> list[Path]:
 
 
 def released_manifest(text: str, wheels: list[Path]) -> str:
-    """The manifest with platforms and wheels, which must stand before its first table."""
-    head, mark, tables = text.partition("\n[")
+    """The manifest with platforms and wheels, which must stand before its first table; a bare build leaves wheels out."""
+    head, mark, tables = text.replace('  "/wheels/",\n', "").partition("\n[")
     lines = [f"platforms = [{', '.join(repr(p) for p in PLATFORMS)}]".replace("'", '"'), "wheels = ["]
     lines += [f'  "./wheels/{wheel.name}",' for wheel in wheels]
     return "\n".join([head.rstrip("\n"), *lines, "]", ""]) + mark + tables

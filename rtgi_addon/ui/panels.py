@@ -86,6 +86,7 @@ class RTGI_OT_reset_to_preset(bpy.types.Operator):
         return {"FINISHED"}
 
 
+STAGE_LABELS = {"bvh": "BVH", **LABELS}
 _found_kernels = False
 
 
@@ -107,8 +108,8 @@ def last_report() -> dict[str, Any] | None:
 def draw_text(layout: Any, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
     """A text over as many lines as the panel's width asks for; labels do not wrap by themselves."""
     width_px = context.region.width if context.region is not None else 0
-    # 7 px a letter in Blender's font at scale 1, which is 0 without a window; margins and icon take about eight letters
-    letters = max(int(width_px / (7 * max(context.preferences.system.ui_scale, 0.1))) - 8, 24)
+    # at scale 1, which is 0 without a window, letters of Blender's font take 6.2 px on average, margins and icon 70 px
+    letters = max(int((width_px / max(context.preferences.system.ui_scale, 0.1) - 70) / 6.2), 24)
     column = layout.column(align=True)
     column.scale_y = 0.8
     for number, line in enumerate(textwrap.wrap(text, letters)):
@@ -240,9 +241,9 @@ class RTGI_PT_times(_RenderPanel, bpy.types.Panel):
 def time_lines(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """(stage, time) of a report, the sum and what was compiled last."""
     for stage in report["stages"]:
-        yield stage["name"].capitalize(), f"{stage['ms']:.0f} ms"
+        yield STAGE_LABELS.get(stage["name"], stage["name"].capitalize()), f"{stage['ms']:.0f} ms"
     yield "Sum", f"{report['total_ms'] / 1000:.2f} s"
-    yield "Compiling, apart from it", f"{report['jit_ms'] / 1000:.2f} s"
+    yield "Compiling, besides", f"{report['jit_ms'] / 1000:.2f} s"
 
 
 class RTGI_PT_compare(_RenderPanel, bpy.types.Panel):

@@ -158,7 +158,7 @@ def test_panels_after_a_render_say_what_ran_what_was_left_out_and_how_long_it_to
     plan = " ".join(drawn_by(bpy_session, panels.RTGI_PT_last_render))
     assert "Direct Light ran" in plan and "World Light left out: the world is black" in plan
     times = drawn_by(bpy_session, panels.RTGI_PT_times)
-    assert {"Camera view", "Direct", "Sum"} <= set(times) and any(text.endswith(" ms") for text in times)
+    assert {"Camera view", "Direct Light", "BVH", "Sum"} <= set(times) and any(text.endswith(" ms") for text in times)
     assert any(text.startswith("Last render: ") for text in drawn_by(bpy_session, panels.TECHNIQUE_PANELS["rsm"]))
     assert "the world is black" in " ".join(drawn_by(bpy_session, panels.TECHNIQUE_PANELS["world"]))
 

@@ -120,8 +120,9 @@ class Driver:
         yield from self.look_at_panels("panels_before")
         yield from self.render("first render")
         engine = sys.modules["rtgi_addon.engine"]
-        self.area("IMAGE_EDITOR").spaces.active.image = bpy.data.images["Render Result"]
-        with bpy.context.temp_override(window=self.window, area=self.area("IMAGE_EDITOR"), region=self.region("IMAGE_EDITOR")):
+        area, region = self.area("IMAGE_EDITOR"), self.region("IMAGE_EDITOR")
+        area.spaces.active.image = bpy.data.images["Render Result"]
+        with bpy.context.temp_override(window=self.window, area=area, region=region):
             bpy.ops.image.view_all(fit_view=True)
         self.seen["mean"] = float(engine.last_result().combined[..., :3].mean())
         yield from self.look_at_panels("panels_after")
@@ -173,6 +174,7 @@ class Driver:
         choice = bpy.context.window_manager.rtgi
         with bpy.context.temp_override(window=self.window):
             bpy.ops.rtgi.show_view()
+        yield from self.picture("view_composite")
         for name in list(engine.views()):
             choice.view = name
             yield 0.1
