@@ -344,7 +344,6 @@ def _write_image():
             return                               # a file of the user's own under that name: leave it alone
     if image is None:
         image = bpy.data.images.new(IMAGE_NAME, width, height, alpha=True, float_buffer=True)
-        image.use_view_as_render = True          # looks as the Render Result does
     image.pixels.foreach_set(np.ascontiguousarray(pixels[::-1], np.float32).ravel())
     image.update()
 

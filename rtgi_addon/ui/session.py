@@ -37,7 +37,9 @@ class RTGI_session(bpy.types.PropertyGroup):
     """State of the panels."""
 
     view: bpy.props.EnumProperty(
-        name="View", description='What the image "RTGI" shows: the picture, or one kind of light that went into it',
+        name="View",
+        description='What the image "RTGI" shows: the picture, or one kind of light that went into it; linear values '
+                    "without the scene's view transform",
         items=_view_items, get=_get_view, set=_set_view)
     samples: bpy.props.IntProperty(
         name="Samples", min=1, max=65536, soft_max=1024, **_remembered("samples"),

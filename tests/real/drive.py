@@ -73,6 +73,13 @@ class Driver:
     def region(self, kind: str) -> bpy.types.Region:
         return next(region for region in self.area(kind).regions if region.type == "WINDOW")
 
+    def scroll(self, down: bool, pages: int = 1) -> None:
+        """Scroll the Properties editor."""
+        area, region = self.area("PROPERTIES"), self.region("PROPERTIES")
+        with bpy.context.temp_override(window=self.window, area=area, region=region):
+            for _ in range(pages):
+                (bpy.ops.view2d.scroll_down if down else bpy.ops.view2d.scroll_up)(page=True)
+
     def wish(self, **what: str) -> Iterator[float]:
         """Ask who waits outside for a key or a picture; Blender's simulated Esc does not reach a render's job."""
         self._wishes += 1
@@ -161,14 +168,10 @@ class Driver:
             yield 0.2
             if tab in ("VIEW_LAYER", "RENDER"):
                 yield from self.picture(f"{name}_{tab.lower()}")
-        area, region = self.area("PROPERTIES"), self.region("PROPERTIES")
         for page in range(1, 4):
-            with bpy.context.temp_override(window=self.window, area=area, region=region):
-                bpy.ops.view2d.scroll_down(page=True)
+            self.scroll(down=True)
             yield from self.picture(f"{name}_render_{page + 1}")
-        with bpy.context.temp_override(window=self.window, area=area, region=region):
-            for _ in range(4):
-                bpy.ops.view2d.scroll_up(page=True)
+        self.scroll(down=False, pages=4)
 
     def views_and_undo(self, engine) -> Iterator[float]:
         choice = bpy.context.window_manager.rtgi
@@ -211,6 +214,7 @@ class Driver:
             with bpy.context.temp_override(window=self.window):
                 bpy.ops.rtgi.compare("INVOKE_DEFAULT", samples=4)
             task = tasks.running()
+            self.scroll(down=True, pages=4)
             yield 2.0
             if stops:
                 yield from self.wish(key="Escape")
@@ -223,6 +227,7 @@ class Driver:
             found = tasks.last_comparison()
             self.seen["comparison"] = [list(row) for row in found.rows] if found else None
             yield from self.picture("compared")
+        self.scroll(down=False, pages=4)
         self.clock.name = "idle"
 
     def at_random(self, engine) -> Iterator[float]:
