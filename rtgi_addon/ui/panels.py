@@ -87,6 +87,7 @@ class RTGI_OT_reset_to_preset(bpy.types.Operator):
 
 
 STAGE_LABELS = {"bvh": "BVH", **LABELS}
+WIDE_PX = 380               # a panel as wide as this has room for all columns of the comparison
 _found_kernels = False
 
 
@@ -105,11 +106,15 @@ def last_report() -> dict[str, Any] | None:
     return result.report if result is not None else None
 
 
+def panel_width(context: bpy.types.Context) -> float:
+    """Width in px, at scale 1, of the region that is drawn; 0 without a window."""
+    return context.region.width / max(context.preferences.system.ui_scale, 0.1) if context.region is not None else 0.0
+
+
 def draw_text(layout: Any, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
     """A text over as many lines as the panel's width asks for; labels do not wrap by themselves."""
-    width_px = context.region.width if context.region is not None else 0
-    # at scale 1, which is 0 without a window, letters of Blender's font take 6.2 px on average, margins and icon 70 px
-    letters = max(int((width_px / max(context.preferences.system.ui_scale, 0.1) - 70) / 6.2), 24)
+    # letters of Blender's font take 6.2 px on average, margins and icon 70 px
+    letters = max(int((panel_width(context) - 70) / 6.2), 24)
     column = layout.column(align=True)
     column.scale_y = 0.8
     for number, line in enumerate(textwrap.wrap(text, letters)):
@@ -267,17 +272,18 @@ class RTGI_PT_compare(_RenderPanel, bpy.types.Panel):
             words.samples, words.reference = session.samples, found.reference if keeps else ""
         if found is None:
             return
-        layout.label(text=f"{found.title}: error of")
+        draw_text(layout, context, f"{found.title}: times, and errors against Cycles")
         table = layout.column(align=True)
         table.scale_y = 0.8
+        shown = range(1, len(tasks.HEAD)) if panel_width(context) > WIDE_PX else tasks.NARROW_COLUMNS
         for cells in (tasks.HEAD, *found.rows):
-            split = table.split(factor=0.36)
+            split = table.split(factor=0.4)
             split.label(text=cells[0])
             rest = split.row()
-            for cell in cells[1:]:
-                cell_row = rest.row()
-                cell_row.alignment = "RIGHT"
-                cell_row.label(text=cell)
+            for number in shown:
+                cell = rest.row()
+                cell.alignment = "RIGHT"
+                cell.label(text=cells[number])
         layout.operator("rtgi.show_comparison", icon="IMAGE_DATA")
 
 

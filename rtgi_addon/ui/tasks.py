@@ -52,6 +52,7 @@ class Comparison:
 
 
 HEAD = ("", "Time", "Bounce", "Picture", "Energy")
+NARROW_COLUMNS = (1, 3)     # what a narrow panel has room for: time and error of the picture
 _running: Task | None = None
 _comparison: Comparison | None = None
 
@@ -67,7 +68,7 @@ def last_comparison() -> Comparison | None:
 
 
 def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.1f} %"
+    return "-" if value is None else f"{100 * value:.{1 if value < 0.1 else 0}f} %"
 
 
 def read_comparison(folder: Path) -> Comparison:
@@ -81,7 +82,7 @@ def read_comparison(folder: Path) -> Comparison:
                      _percent(errors.get("bounce", {}).get("block")), _percent(errors["picture"].get("block")),
                      "-" if energy is None else f"{energy:.3f}"))
     noise = found["noise"]
-    rows.append(("reference's noise", "", _percent(noise.get("bounce")), _percent(noise.get("picture")), ""))
+    rows.append(("Cycles' noise", "", _percent(noise.get("bounce")), _percent(noise.get("picture")), ""))
     references = sorted((folder / "references").glob("*.npz"), key=lambda path: path.stat().st_mtime)
     width, height = found["size"]
     return Comparison(f"{found['scene']}, {width}x{height}", tuple(rows), str(folder / "compare.png"),

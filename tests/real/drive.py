@@ -7,6 +7,7 @@ is gone once it is granted. What was seen goes to DIR/seen.json.
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import random
@@ -15,10 +16,12 @@ import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import bpy
 
 ROOT = Path(__file__).resolve().parent.parent.parent
+EXTENSION = "bl_ext.user_default.rtgi"
 TICK_S = 0.05
 RENDER_LIMIT_S, COMPARE_LIMIT_S = 300.0, 600.0
 
@@ -60,6 +63,10 @@ class Driver:
         def note(*_arguments) -> None:
             self.ended.append(what)
         return note
+
+    def module(self, name: str) -> ModuleType:
+        """A module of the add-on, wherever it was installed."""
+        return sys.modules[f"{self.words.package}.{name}"]
 
     # ---- hands ----
 
@@ -126,7 +133,7 @@ class Driver:
         yield from self.open_scene()
         yield from self.look_at_panels("panels_before")
         yield from self.render("first render")
-        engine = sys.modules["rtgi_addon.engine"]
+        engine = self.module("engine")
         area, region = self.area("IMAGE_EDITOR"), self.region("IMAGE_EDITOR")
         area.spaces.active.image = bpy.data.images["Render Result"]
         with bpy.context.temp_override(window=self.window, area=area, region=region):
@@ -138,6 +145,7 @@ class Driver:
         yield from self.compare()
         yield from self.at_random(engine)
         yield from self.look_at_panels("at_the_end")
+        yield from self.preferences()
 
     def open_scene(self) -> Iterator[float]:
         from sample_scenes.build import save_scene
@@ -207,8 +215,25 @@ class Driver:
         with bpy.context.temp_override(window=self.window):
             bpy.ops.rtgi.reset_to_preset()
 
+    def preferences(self) -> Iterator[float]:
+        """The add-on's preferences, and a warm-up that is stopped."""
+        tasks = self.module("ui.tasks")
+        with bpy.context.temp_override(window=self.window):
+            bpy.ops.rtgi.warm_up("INVOKE_DEFAULT")
+        if self.words.zip:
+            area = self.area("IMAGE_EDITOR")
+            area.type = "PREFERENCES"
+            bpy.context.preferences.active_section = "ADDONS"
+            bpy.context.window_manager.addon_search = "RTGI"
+            with bpy.context.temp_override(window=self.window, area=area):
+                bpy.ops.preferences.addon_expand(module=EXTENSION)
+        yield 3.0
+        yield from self.picture("warming_up")
+        yield from self.wish(key="Escape")
+        yield from self.waiting(lambda: tasks.running() is None, 10.0, "the warm-up")
+
     def compare(self) -> Iterator[float]:
-        tasks = sys.modules["rtgi_addon.ui.tasks"]
+        tasks = self.module("ui.tasks")
         for name, stops in (("stopped comparison", True), ("comparison", False)):
             self.clock.name = name
             with bpy.context.temp_override(window=self.window):
@@ -232,7 +257,7 @@ class Driver:
 
     def at_random(self, engine) -> Iterator[float]:
         """Toggle, choose, undo and render, again and again; some renders are cancelled."""
-        techniques = sys.modules["rtgi_addon.core.techniques"]
+        techniques = self.module("core.techniques")
         for number in range(self.words.renders):
             scene = self.window.scene
             group, pick = scene.rtgi, self.random
@@ -274,6 +299,10 @@ class Driver:
         bpy.app.timers.register(go_on, first_interval=1.0, persistent=True)
 
     def finish(self) -> None:
+        if self.words.zip:
+            repos = [repo.module for repo in bpy.context.preferences.extensions.repos]
+            bpy.ops.extensions.package_uninstall(repo_index=repos.index("user_default"), pkg_id="rtgi")
+            self.seen["left_behind"] = hasattr(bpy.types.Scene, "rtgi")
         (self.words.output / "seen.json").write_text(json.dumps(self.seen, indent=1))
         bpy.ops.wm.quit_blender()
 
@@ -285,19 +314,24 @@ def main() -> None:
     parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), default=(160, 90))
     parser.add_argument("--renders", type=int, default=5)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--zip", type=Path, help="install this extension, not the checkout, and remove it at the end")
     parser.add_argument("--open-panels", action="store_true", help="show panels open that are closed by default")
     words = parser.parse_args(sys.argv[sys.argv.index("--") + 1:])
     words.output = words.output.resolve()
     words.output.mkdir(parents=True, exist_ok=True)
     sys.path.insert(0, str(ROOT))
-    import rtgi_addon
-
-    if words.open_panels:
-        from rtgi_addon.ui import panels
-
-        for panel in (cls for cls in panels.CLASSES if issubclass(cls, bpy.types.Panel)):
-            panel.bl_options = set()
-    rtgi_addon.register()
+    if words.zip:
+        bpy.ops.extensions.package_install_files(repo="user_default", filepath=str(words.zip.resolve()),
+                                                 enable_on_install=True)
+        words.package = f"{EXTENSION}.rtgi_addon"
+    else:
+        words.package = "rtgi_addon"
+        package = importlib.import_module(words.package)
+        if words.open_panels:
+            panels = importlib.import_module(f"{words.package}.ui.panels")
+            for panel in (cls for cls in panels.CLASSES if issubclass(cls, bpy.types.Panel)):
+                panel.bl_options = set()
+        package.register()
     Driver(words).start()
 
 
