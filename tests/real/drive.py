@@ -165,6 +165,16 @@ class Driver:
             with bpy.context.temp_override(window=self.window, area=self.area(kind)):
                 bpy.ops.screen.area_close()
             yield 0.2
+        if self.words.wide:
+            narrow = self.area("PROPERTIES")
+            with bpy.context.temp_override(window=self.window, area=self.area("IMAGE_EDITOR")):
+                bpy.ops.screen.area_split(direction="VERTICAL", factor=0.88)
+            yield 0.2
+            editors = [area for area in self.window.screen.areas if area.type == "IMAGE_EDITOR"]
+            min(editors, key=lambda area: area.width).type = "PROPERTIES"
+            with bpy.context.temp_override(window=self.window, area=narrow):
+                bpy.ops.screen.area_close()
+            yield 0.2
         self.area("PROPERTIES").spaces.active.context = "RENDER"
         yield 0.5
 
@@ -237,7 +247,7 @@ class Driver:
         for name, stops in (("stopped comparison", True), ("comparison", False)):
             self.clock.name = name
             with bpy.context.temp_override(window=self.window):
-                bpy.ops.rtgi.compare("INVOKE_DEFAULT", samples=4)
+                bpy.ops.rtgi.compare("INVOKE_DEFAULT", samples=self.words.samples)
             task = tasks.running()
             self.scroll(down=True, pages=4)
             yield 2.0
@@ -315,7 +325,9 @@ def main() -> None:
     parser.add_argument("--renders", type=int, default=5)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--zip", type=Path, help="install this extension, not the checkout, and remove it at the end")
-    parser.add_argument("--open-panels", action="store_true", help="show panels open that are closed by default")
+    parser.add_argument("--open-panels", default="", metavar="NAMES", help="rsm,last_render: open what is closed by default")
+    parser.add_argument("--wide", action="store_true", help="a wider Properties editor, for pictures in the docs")
+    parser.add_argument("--samples", type=int, default=4, help="of the comparison")
     words = parser.parse_args(sys.argv[sys.argv.index("--") + 1:])
     words.output = words.output.resolve()
     words.output.mkdir(parents=True, exist_ok=True)
@@ -327,9 +339,9 @@ def main() -> None:
     else:
         words.package = "rtgi_addon"
         package = importlib.import_module(words.package)
-        if words.open_panels:
-            panels = importlib.import_module(f"{words.package}.ui.panels")
-            for panel in (cls for cls in panels.CLASSES if issubclass(cls, bpy.types.Panel)):
+        panels = importlib.import_module(f"{words.package}.ui.panels")
+        for panel in panels.CLASSES:
+            if panel.__name__.removeprefix("RTGI_PT_") in words.open_panels.split(","):
                 panel.bl_options = set()
         package.register()
     Driver(words).start()
