@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,12 +34,20 @@ class Task:
     child: Child
     steps: int
     pattern: re.Pattern[str]
+    folder: Path
     is_stopped: bool = False
 
     def progress(self) -> tuple[float, str]:
         """(share in [0, 1], the newest step's words)."""
         said = [match[1] for line in self.child.lines() if (match := self.pattern.fullmatch(line))]
         return min(len(said) / max(self.steps, 1), 0.99), said[-1] if said else "starting"
+
+    def tidy_up(self, keeps_results: bool) -> None:
+        """Remove the copy of the file, or all that the task wrote; the rest goes when Blender ends."""
+        for path in self.folder.glob("*.blend"):
+            path.unlink()
+        if not keeps_results:
+            shutil.rmtree(self.folder, ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,7 @@ def stop() -> None:
     global _running
     if _running is not None:
         _running.child.stop()
+        _running.tidy_up(keeps_results=False)
         _running = None
 
 
@@ -156,6 +166,7 @@ class _TaskOperator:
         global _running
         self._close(context)
         self._task.child.stop()
+        self._task.tidy_up(keeps_results=False)
         if _running is self._task:
             _running = None
         session.redraw()
@@ -173,6 +184,7 @@ class _TaskOperator:
 
     def _finish(self, context: bpy.types.Context, task: Task) -> set[str]:
         session.redraw()
+        task.tidy_up(keeps_results=True)
         if task.child.exit_code() != 0:
             said = [line for line in task.child.lines() if line.startswith("rtgi: ")]
             why = said[-1].removeprefix("rtgi: ") if said else f"exit code {task.child.exit_code()}"
@@ -226,13 +238,12 @@ class RTGI_OT_compare(_TaskOperator, bpy.types.Operator):
         words = ["compare", str(copy), "-o", str(folder), "--samples", str(self.samples)]
         if self.reference:
             words += ["--reference", self.reference]
-        self._folder = folder
         return Task(self.bl_label, Child(words, folder / "log.txt"), _expected_steps(settings_from_scene(context.scene)),
-                    _SAID_STEP)
+                    _SAID_STEP, folder)
 
     def _end(self, _context: bpy.types.Context, task: Task) -> None:
         global _comparison
-        found = read_comparison(self._folder)
+        found = read_comparison(task.folder)
         _comparison = Comparison(found.title, found.rows, found.picture, found.reference or self.reference)
         pictures.show(pictures.from_file(COMPARE_IMAGE, Path(found.picture)))
         self.report({"INFO"}, f"RTGI: compared in {task.child.seconds:.0f} s")
@@ -268,7 +279,7 @@ class RTGI_OT_warm_up(_TaskOperator, bpy.types.Operator):
         words = ["warmup", *(["--threads", str(threads)] if threads else [])]
         folder = Path(tempfile.mkdtemp(prefix="rtgi_warmup_", dir=bpy.app.tempdir))
         steps = 3 + sum(len(list(variants(kind()))) for kind in TECHNIQUE_PARAMS.values())
-        return Task(self.bl_label, Child(words, folder / "log.txt"), steps, _WARMED_STEP)
+        return Task(self.bl_label, Child(words, folder / "log.txt"), steps, _WARMED_STEP, folder)
 
     def _end(self, _context: bpy.types.Context, task: Task) -> None:
         self.report({"INFO"}, f"RTGI: kernels are ready after {task.child.seconds:.0f} s")

@@ -38,6 +38,7 @@ def test_comparison_gives_a_table_a_picture_and_a_reference_for_the_next(bpy_ses
     image.pixels.foreach_get(pixels)
     assert image.size[0] > 3 * 64 and image.size[1] > 36 and pixels.std() > 0.05
     assert Path(compared.reference).is_file()
+    assert not list(Path(compared.picture).parent.glob("*.blend"))     # the copy of the file is gone
     earlier = compared.reference
     bpy_session.ops.rtgi.compare(samples=1, reference=earlier)
     assert tasks.last_comparison().reference == earlier
@@ -70,7 +71,7 @@ def test_one_task_at_a_time(bpy_session, tasks, tmp_path, monkeypatch):
     from rtgi_addon.ui.child import Child
 
     child = Child(["warmup"], tmp_path / "log.txt")
-    monkeypatch.setattr(tasks, "_running", tasks.Task("Warm Up Kernels", child, 10, tasks._WARMED_STEP))
+    monkeypatch.setattr(tasks, "_running", tasks.Task("Warm Up Kernels", child, 10, tasks._WARMED_STEP, tmp_path / "its"))
     assert not bpy_session.ops.rtgi.compare.poll() and not bpy_session.ops.rtgi.warm_up.poll()
     assert bpy_session.ops.rtgi.stop.poll()
     tasks.stop()
@@ -86,5 +87,5 @@ def test_progress_is_read_from_what_the_child_says(tasks, tmp_path):
         time.sleep(0.1)
     assert child.exit_code() == 2                # wrong words
     (tmp_path / "log.txt").write_text("Blender talks\n  1.25 s  loading\n  0.50 s  rsm with method PAPER\n")
-    share, words = tasks.Task("Warm Up Kernels", child, 4, tasks._WARMED_STEP).progress()
+    share, words = tasks.Task("Warm Up Kernels", child, 4, tasks._WARMED_STEP, tmp_path).progress()
     assert (share, words) == (0.5, "rsm with method PAPER")

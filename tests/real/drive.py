@@ -260,6 +260,8 @@ class Driver:
             yield from self.waiting(lambda: tasks.running() is None, COMPARE_LIMIT_S, name)
             self.seen["compare_exit"], self.seen["compare_log"] = task.child.exit_code(), task.child.lines()[-60:]
             found = tasks.last_comparison()
+            yield 0.5
+            self.scroll(down=True, pages=4)
             self.seen["comparison"] = [list(row) for row in found.rows] if found else None
             yield from self.picture("compared")
         self.scroll(down=False, pages=4)
