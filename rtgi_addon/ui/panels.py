@@ -273,16 +273,14 @@ class RTGI_PT_compare(_RenderPanel, bpy.types.Panel):
         if found is None:
             return
         draw_text(layout, context, f"{found.title}: times, and errors against Cycles")
-        table = layout.column(align=True)
-        table.scale_y = 0.8
         shown = range(1, len(tasks.HEAD)) if panel_width(context) > WIDE_PX else tasks.NARROW_COLUMNS
-        for cells in (tasks.HEAD, *found.rows):
-            split = table.split(factor=0.4)
-            split.label(text=cells[0])
-            rest = split.row()
-            for number in shown:
-                cell = rest.row()
-                cell.alignment = "RIGHT"
+        table = layout.split(factor=0.4)
+        names, rest = table.column(align=True), table.row()
+        for column, number in ((names, 0), *((rest.column(align=True), number) for number in shown)):
+            column.scale_y = 0.8
+            for cells in (tasks.HEAD, *found.rows):
+                cell = column.row()
+                cell.alignment = "RIGHT" if number else "LEFT"
                 cell.label(text=cells[number])
         layout.operator("rtgi.show_comparison", icon="IMAGE_DATA")
 

@@ -242,6 +242,17 @@ def test_passes_put_the_picture_together_as_those_of_cycles_do(bpy_session, smal
     assert np.allclose(total, of("Combined", "Combined"), rtol=1e-5, atol=1e-6)
 
 
+def test_missing_library_is_one_clear_line(bpy_session, small_scene, monkeypatch):
+    from rtgi_addon import engine
+
+    def fail():
+        raise ModuleNotFoundError("No module named 'numba'", name="numba")
+
+    monkeypatch.setattr(engine, "_shared_context", fail)
+    with pytest.raises(RuntimeError, match="numba does not load .* install the zip that is made for this system"):
+        bpy_session.ops.render.render()
+
+
 def test_image_datablock_holds_the_composite(bpy_session, small_scene):
     bpy_session.ops.render.render()
     image = bpy_session.data.images["RTGI"]
