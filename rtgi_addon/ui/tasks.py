@@ -22,6 +22,7 @@ from . import pictures, session
 from .child import POLL_S, Child
 
 COMPARE_IMAGE = "RTGI Compare"
+COMPARE_FOLDER = "rtgi_compare_"
 _SAID_STEP = re.compile(r"rtgi: (.+)")
 _WARMED_STEP = re.compile(r"\s*\d+\.\d\d s  (.+)")
 
@@ -58,6 +59,13 @@ class Comparison:
     rows: tuple[tuple[str, ...], ...]
     picture: str
     reference: str
+
+    @property
+    def folders(self) -> set[Path]:
+        """Those of our own in Blender's temporary folder that its picture and its reference lie in."""
+        holders = {Path(self.picture).parent, Path(self.reference).parent.parent}
+        # a reference may be a file of the user's, anywhere
+        return {f for f in holders if f.name.startswith(COMPARE_FOLDER) and f.parent == Path(bpy.app.tempdir)}
 
 
 HEAD = ("", "Time", "Bounce", "Picture", "Energy")
@@ -231,7 +239,7 @@ class RTGI_OT_compare(_TaskOperator, bpy.types.Operator):
     def _begin(self, context: bpy.types.Context) -> Task:
         from .props import settings_from_scene
 
-        folder = Path(tempfile.mkdtemp(prefix="rtgi_compare_", dir=bpy.app.tempdir))
+        folder = Path(tempfile.mkdtemp(prefix=COMPARE_FOLDER, dir=bpy.app.tempdir))
         name = Path(bpy.data.filepath).stem or context.scene.name
         copy = folder / f"{bpy.path.clean_name(name)}.blend"
         bpy.ops.wm.save_as_mainfile(filepath=str(copy), copy=True, check_existing=False)
@@ -243,8 +251,11 @@ class RTGI_OT_compare(_TaskOperator, bpy.types.Operator):
 
     def _end(self, _context: bpy.types.Context, task: Task) -> None:
         global _comparison
-        found = read_comparison(task.folder)
+        before, found = _comparison, read_comparison(task.folder)
         _comparison = Comparison(found.title, found.rows, found.picture, found.reference or self.reference)
+        if before is not None:
+            for folder in before.folders - _comparison.folders:
+                shutil.rmtree(folder, ignore_errors=True)
         pictures.show(pictures.from_file(COMPARE_IMAGE, Path(found.picture)))
         self.report({"INFO"}, f"RTGI: compared in {task.child.seconds:.0f} s")
 

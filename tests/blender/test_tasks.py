@@ -41,7 +41,16 @@ def test_comparison_gives_a_table_a_picture_and_a_reference_for_the_next(bpy_ses
     assert not list(Path(compared.picture).parent.glob("*.blend"))     # the copy of the file is gone
     earlier = compared.reference
     bpy_session.ops.rtgi.compare(samples=1, reference=earlier)
-    assert tasks.last_comparison().reference == earlier
+    assert tasks.last_comparison().reference == earlier and Path(earlier).is_file()
+    bpy_session.ops.rtgi.compare(samples=1)      # one with a reference of its own: nothing of the others is needed
+    assert not Path(earlier).exists() and Path(tasks.last_comparison().reference).is_file()
+
+
+def test_a_reference_of_the_users_own_is_never_removed(tasks, tmp_path):
+    reference = tmp_path / "references" / "mine.npz"
+    reference.parent.mkdir()
+    reference.write_bytes(b"")
+    assert tasks.Comparison("", (), str(tmp_path / "compare.png"), str(reference)).folders == set()
 
 
 def test_panel_shows_the_table(bpy_session, compared):
