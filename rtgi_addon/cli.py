@@ -374,7 +374,42 @@ def run_render(words: argparse.Namespace) -> int:
     return DONE
 
 
-# ---- doctor, warmup ----
+# ---- settings, doctor, warmup ----
+
+def setting_words(value: Any) -> str:
+    """A setting's value as `--set` takes it."""
+    return ("on" if value else "off") if isinstance(value, bool) else str(value).lower()
+
+
+def setting_lines(technique: str) -> Iterator[str]:
+    """What `--set` takes of one technique: each setting with default and range, when it is read, and what it does."""
+    for field in dataclasses.fields(TECHNIQUE_PARAMS[technique]):
+        meta = field.metadata
+        if meta["choices"]:
+            values = " | ".join(identifier.lower() for identifier, _, _ in meta["choices"])
+        elif isinstance(field.default, bool):
+            values = "on | off"
+        else:
+            values = f"{meta['low']} to {meta['high']} {meta['unit']}".rstrip()
+        yield f"  {technique}.{field.name}={setting_words(field.default)}   ({values})"
+        yield f"      {meta['doc']}."
+        for identifier, _, doc in meta["choices"]:
+            yield f"      {identifier.lower()}: {doc}."
+        for name, read_with in meta["only"].items():
+            wanted = read_with if isinstance(read_with, tuple) else (read_with,)
+            yield f"      Read only with {name} {' or '.join(map(setting_words, wanted))}."
+
+
+def run_settings(words: argparse.Namespace) -> int:
+    """`rtgi settings`."""
+    names = parse_techniques(words.techniques) if words.techniques else None
+    for name in names or TECHNIQUE_PARAMS:
+        print(f"{name}: {LABELS[name]}")
+        for line in setting_lines(name):
+            print(line)
+    return DONE
+
+
 
 def run_doctor(_words: argparse.Namespace) -> int:
     """`rtgi doctor`."""
@@ -460,7 +495,7 @@ def _add_render(commands: Any) -> None:
     parser.add_argument("--techniques", metavar="LIST", help="rsm, several with commas, or auto: what the scene needs")
     parser.add_argument("--preset", metavar="NAME", help="draft, balanced or quality")
     parser.add_argument("--set", action="append", default=[], metavar="TECHNIQUE.NAME=VALUE",
-                        help="one setting, such as rsm.rays=64; may be repeated")
+                        help="one setting, such as rsm.rays=64; may be repeated; rtgi settings lists them")
     parser.add_argument("--size", metavar="WxH", help="picture size in px, such as 960x540")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--frame", type=int, metavar="N", help="this frame instead of the file's current one")
@@ -526,6 +561,11 @@ def parser(prog: str = "rtgi") -> argparse.ArgumentParser:
                                  description="Look at Blender, Python, numba, threads and the kernel cache. Exit code 1 if "
                                              "something is wrong, with the mend under its line.")
     doctor.set_defaults(run=run_doctor)
+    settings = commands.add_parser("settings", help="every setting that --set takes",
+                                   description="Every setting of the techniques, with its default, its range and what "
+                                               "it costs and gets.")
+    settings.add_argument("techniques", nargs="?", metavar="LIST", help="rsm, several with commas; all if left out")
+    settings.set_defaults(run=run_settings)
     warmup = commands.add_parser("warmup", help="compile all kernels now",
                                  description="Compile every kernel and keep it, so that no render waits for it later.")
     warmup.add_argument("--threads", type=_count, metavar="N", help="threads; all if left out")

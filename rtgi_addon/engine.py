@@ -25,7 +25,10 @@ IMAGE_NAME = "RTGI"
 OUTPUT_PASSES = (("RTGI Direct", "RGB"), ("RTGI World", "RGB"), ("RTGI Diffuse Bounce", "RGB"),
                  ("RTGI Glossy Bounce", "RGB"), ("RTGI Visibility", "X"))
 
+COMPOSITE, VISIBILITY = "composite", "visibility"
+
 _last_result = None
+_shown_view = COMPOSITE
 _persistent_data: dict[str, bool] = {}
 _geometry_cache = capture_geometry.GeometryCache()
 _context = None
@@ -34,6 +37,30 @@ _context = None
 def last_result():
     """`pipeline.Result` of the newest finished render, or None."""
     return _last_result
+
+
+def views():
+    """{name: what it is} of the pictures that the image "RTGI" can show of the last render."""
+    found = {COMPOSITE: "The picture"}
+    if _last_result is not None:
+        for transport in _last_result.transports:
+            found[transport.value] = ("Irradiance, W/m2; colours of surfaces are not in it" if transport.is_diffuse else
+                                      "Radiance, W/(m2 sr)")
+        found[VISIBILITY] = "Share of the surroundings that techniques of ambient visibility left open; 1 where none ran"
+        found.update(dict.fromkeys(_last_result.pictures, "Drawn by a technique of itself"))
+    return found
+
+
+def shown_view():
+    """Name of the view that the image "RTGI" shows."""
+    return _shown_view
+
+
+def show_view(name):
+    """Let the image "RTGI" show the view `name` of the last and of further renders."""
+    global _shown_view
+    _shown_view = name
+    _write_image()
 
 
 def _shared_context():
@@ -137,6 +164,9 @@ class RTGIEngine(bpy.types.RenderEngine):
             self.update_stats("", "RTGI: cancelled")
         except RtgiError as error:
             self._fail(str(error))
+        except ImportError as error:
+            self._fail(f"{error.name or 'a library'} does not load ({error}); install the zip that is made for this system, "
+                       "it brings numba along, or install numba into Blender's Python")
         except Exception as error:  # noqa: BLE001  an error must not pass as a finished black frame
             traceback.print_exc()
             self._fail(f"RTGI failed: {type(error).__name__}: {error}; the console has the details")
@@ -166,9 +196,10 @@ class RTGIEngine(bpy.types.RenderEngine):
         result.combined[..., :3] *= scene.cycles.film_exposure
         with stages("write"):
             self._write(depsgraph, frame, result)
+            _last_result = result
+            _publish_image()
         result.report["stages"], result.report["total_ms"] = stages.to_json(), round(stages.total_ms, 2)
         result.report["versions"]["blender"] = bpy.app.version_string
-        _last_result = result
         for line in frame.warnings:
             self.report({"INFO"}, line)
 
@@ -230,10 +261,10 @@ class RTGIEngine(bpy.types.RenderEngine):
         return World(views.environment(full_sphere(*views.format_of_views(width * height).panorama_px, world_axes())))
 
     def _write(self, depsgraph, frame, result):
-        """Combined, our passes and every pass that the user asked for into the render result; the image datablock."""
+        """Combined, our passes and every pass that the user asked for into the render result."""
         layer_name = depsgraph.view_layer.name
         height, width = frame.gbuffer.shape
-        values = _output_values(frame, result)
+        values = _output_values(frame, result, depsgraph.view_layer)
         target = self.begin_result(0, 0, width, height, layer=layer_name)
         for render_pass in target.layers[0].passes:
             array = values.get(render_pass.name, self._raw.get(render_pass.name))
@@ -241,7 +272,6 @@ class RTGIEngine(bpy.types.RenderEngine):
                 flat = np.ascontiguousarray(array[::-1], np.float32).ravel()
                 render_pass.rect.foreach_set(flat)
         self.end_result(target)
-        _write_image(result.combined)
 
     def render_frame_finish(self):
         from cycles import engine as cycles_engine
@@ -249,8 +279,8 @@ class RTGIEngine(bpy.types.RenderEngine):
         cycles_engine.render_frame_finish(self)
 
 
-def _output_values(frame, result):
-    """{pass name: (H, W, C) float32, row 0 at the top} of everything that RTGI itself fills."""
+def _output_values(frame, result, layer):
+    """{pass name: (H, W, C) float32, row 0 at the top} of everything that RTGI itself fills for a view layer."""
     from .passes.base import Transport as T
 
     light, black = result.transports, np.zeros_like(frame.gbuffer.albedo)
@@ -263,21 +293,49 @@ def _output_values(frame, result):
     bounce = radiosity(T.BOUNCE_DIFFUSE, T.NEAR_DIFFUSE, T.WORLD_BOUNCE_DIFFUSE)
     albedo = frame.gbuffer.albedo
     direct_glossy, world_glossy = light.get(T.DIRECT_GLOSSY, black), light.get(T.WORLD_GLOSSY, black)
-    return {
+    bounce_glossy = light.get(T.BOUNCE_GLOSSY, black)
+    values = {
         "Combined": result.combined,
         "RTGI Direct": direct * albedo + direct_glossy,
         "RTGI World": world * albedo + world_glossy,
         "RTGI Diffuse Bounce": bounce * albedo,
-        "RTGI Glossy Bounce": light.get(T.BOUNCE_GLOSSY, black),
+        "RTGI Glossy Bounce": bounce_glossy,
         "RTGI Visibility": result.visibility[..., None],
         pass_name("Diffuse Direct"): direct + world,
         pass_name("Diffuse Indirect"): bounce,
     }
+    # without their colour, as Cycles gives them: a compositor multiplies it back
+    for wanted, name, radiance in ((layer.use_pass_glossy_direct, "Glossy Direct", direct_glossy + world_glossy),
+                                   (layer.use_pass_glossy_indirect, "Glossy Indirect", bounce_glossy)):
+        if wanted:
+            colour = frame.gbuffer.specular
+            values[pass_name(name)] = np.divide(radiance, colour, out=np.zeros_like(radiance), where=colour > 0)
+    return values
 
 
-def _write_image(combined):
-    """The composite as the float image datablock "RTGI", in place where it exists."""
-    height, width = combined.shape[:2]
+def _view_pixels(result):
+    """(H, W, 4) float32 of the view that is chosen, of the composite where this render has no such view."""
+    pictures = {transport.value: light for transport, light in result.transports.items()}
+    pictures |= {VISIBILITY: np.repeat(result.visibility[..., None], 3, -1), **result.pictures}
+    if _shown_view not in pictures:
+        return result.combined
+    return np.dstack([pictures[_shown_view], np.ones(result.visibility.shape, np.float32)])
+
+
+def _publish_image():
+    """Write the image datablock: now, or as soon as the window is idle, which may be drawing it at this moment."""
+    if bpy.app.background:
+        _write_image()
+    elif not bpy.app.timers.is_registered(_write_image):
+        bpy.app.timers.register(_write_image, first_interval=0.0)
+
+
+def _write_image():
+    """The chosen view of the last render as the float image datablock "RTGI", in place where it exists."""
+    if _last_result is None:
+        return
+    pixels = _view_pixels(_last_result)
+    height, width = pixels.shape[:2]
     image = bpy.data.images.get(IMAGE_NAME)
     if image is not None and (tuple(image.size) != (width, height) or not image.is_float or image.source != "GENERATED"):
         if image.source == "GENERATED" and image.is_float:
@@ -286,7 +344,7 @@ def _write_image(combined):
             return                               # a file of the user's own under that name: leave it alone
     if image is None:
         image = bpy.data.images.new(IMAGE_NAME, width, height, alpha=True, float_buffer=True)
-    image.pixels.foreach_set(np.ascontiguousarray(combined[::-1]).ravel())
+    image.pixels.foreach_set(np.ascontiguousarray(pixels[::-1], np.float32).ravel())
     image.update()
 
 
@@ -326,5 +384,7 @@ def unregister():
         handlers = getattr(bpy.app.handlers, name)
         if function in handlers:
             handlers.remove(function)
+    if bpy.app.timers.is_registered(_write_image):
+        bpy.app.timers.unregister(_write_image)
     bpy.utils.unregister_class(RTGIEngine)
     _last_result = _context = None

@@ -21,6 +21,8 @@ from .passes import TECHNIQUES
 from .passes.base import Context, Transport
 from .planner import Plan
 
+CAPTURE_SHARE = 0.4         # of a frame's progress that is behind it when the techniques start
+
 
 class Stages:
     """Names and milliseconds of what was done, in order; a name that comes again adds up. Compiling is counted apart."""
@@ -86,6 +88,12 @@ def versions() -> dict[str, str]:
             "embree": embree_version()}
 
 
+def _span(number: int, count: int) -> tuple[float, float]:
+    """Shares of a frame's progress between which technique `number` of `count` lies."""
+    first, last = (CAPTURE_SHARE + (1 - CAPTURE_SHARE) * n / count for n in (number, number + 1))
+    return first, last
+
+
 def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = None, stages: Stages | None = None,
         film_transparent: bool = False) -> Result:
     """Run the plan's techniques on `frame` and add them up.
@@ -101,8 +109,9 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
     context, stages = context or Context(), stages or Stages()
     results = []
     with kernel_session(settings.threads):
-        for name in plan.techniques:
+        for number, name in enumerate(plan.techniques):
             technique = TECHNIQUES[name]
+            context.span = _span(number, len(plan.techniques))
             context.checkpoint(technique.label, 0.0)
             if technique.needs_geometry and frame.geometry is not None:
                 with stages("bvh"):
@@ -110,7 +119,7 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
             context.light = merge(results)
             with stages(name):
                 results.append((name, technique.compute(frame, settings.params[name], context, settings.seed)))
-        context.light = {}
+        context.light, context.span = {}, (0.0, 1.0)
         layer = threading_layer()
     with stages("composite"):
         light = merge(results)

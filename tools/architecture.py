@@ -17,8 +17,8 @@ PACKAGE = "rtgi_addon"
 
 # modules that exist only inside Blender
 BLENDER = frozenset({
-    "_cycles", "bl_ext", "bl_ui", "blf", "bmesh", "bpy", "bpy_extras", "cycles", "gpu", "imbuf", "mathutils", "OpenImageIO",
-    "PyOpenColorIO"})
+    "_cycles", "bl_ext", "bl_operators", "bl_ui", "blf", "bmesh", "bpy", "bpy_extras", "cycles", "gpu", "imbuf", "mathutils",
+    "OpenImageIO", "PyOpenColorIO"})
 
 # Who may import what beside the standard library. The longest matching prefix of the importing module decides; a module
 # that no line matches may import nothing, so a new file at the top must be entered here on purpose. An entry "x" allows x

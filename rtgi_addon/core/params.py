@@ -13,14 +13,21 @@ from ..errors import InputError
 
 
 def param(default: Any, doc: str, *, low: float | None = None, high: float | None = None, soft_high: float | None = None,
-          unit: str = "", choices: tuple[tuple[str, str, str], ...] = ()) -> Any:
+          unit: str = "", choices: tuple[tuple[str, str, str], ...] = (), only: dict[str, Any] | None = None) -> Any:
     """A dataclass field with its range and meaning.
 
     `low` and `high` are hard limits, `soft_high` is where a slider ends; `unit` is one of "", "m", "px", "rad";
-    `choices` are (identifier, label, description) for a text parameter.
+    `choices` are (identifier, label, description) for a text parameter. `only` says when the field is read at all: other
+    fields of the same dataclass and the value, or tuple of values, that they must have; a panel hides it else.
     """
     return dataclasses.field(default=default, metadata={
-        "doc": doc, "low": low, "high": high, "soft_high": soft_high, "unit": unit, "choices": choices})
+        "doc": doc, "low": low, "high": high, "soft_high": soft_high, "unit": unit, "choices": choices, "only": only or {}})
+
+
+def is_read(field: dataclasses.Field, holder: Any) -> bool:
+    """Whether a technique reads `field` with the values that `holder` (a dataclass or a Blender group) has now."""
+    return all(getattr(holder, name) in (values if isinstance(values, tuple) else (values,))
+               for name, values in field.metadata["only"].items())
 
 
 @dataclass(frozen=True)

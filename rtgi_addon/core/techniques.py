@@ -65,24 +65,28 @@ class RsmParams(Params):
                  ("PAPER", "As published",
                   "Samples on a disk around the pixel's place in the map (Dachsbacher and Stamminger 2005), no visibility")))
     samples: int = param(
-        400, "Texels summed at each pixel by the methods without visibility", low=1, high=16384, soft_high=4096)
+        400, "Texels summed at each pixel by the methods without visibility", low=1, high=16384, soft_high=4096,
+        only={"method": ("ALL", "PAPER")})
     radius: float = param(
         0.3, "Radius of the disk of samples as a share of the map's width; light from outside it is missing",
-        low=0.001, high=1.0)
+        low=0.001, high=1.0, only={"method": "PAPER"})
     weighting: str = param(
         "UNBIASED", "Weight of a sample at distance r from the centre of the disk",
         choices=(("UNBIASED", "Unbiased", "Weight by the density of the samples, which is proportional to r"),
-                 ("PUBLISHED", "As published", "Weight r squared, as printed in the paper: energy is not kept")))
+                 ("PUBLISHED", "As published", "Weight r squared, as printed in the paper: energy is not kept")),
+        only={"method": "PAPER"})
     lattice_px: int = param(
         4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
-        low=1, high=16, soft_high=8, unit="px")
+        low=1, high=16, soft_high=8, unit="px", only={"method": "VISIBLE"})
     rays: int = param(
-        16, "Visibility rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
+        16, "Visibility rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256,
+        only={"method": "VISIBLE"})
     clusters: int = param(
         512, "Groups that the lit texels of all lamps are put into; more follow small bright places better",
-        low=16, high=16384, soft_high=4096)
+        low=16, high=16384, soft_high=4096, only={"method": "VISIBLE"})
     glossy_texels: bool = param(
-        True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing")
+        True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing",
+        only={"method": ("VISIBLE", "ALL")})
 
 
 @dataclass(frozen=True)
@@ -133,27 +137,31 @@ class LpvParams(Params):
         "memory grow with their number", low=8, high=96, soft_high=64)
     directions: int = param(
         4, "Patches of directions along an edge of each of a cube's six faces: 4 makes 96, odd numbers count as the next "
-        "even one; fewer show the light of small places as rays. Directions only", low=2, high=8, soft_high=6)
+        "even one; fewer show the light of small places as rays. Directions only", low=2, high=8, soft_high=6,
+        only={"mode": "ORDINATES"})
     cascades: int = param(
         2, "Grids inside of each other, the inner ones around what is near to the camera, if that is much smaller than the "
-        "scene; each costs as much as the first. Directions only", low=1, high=4)
+        "scene; each costs as much as the first. Directions only", low=1, high=4, only={"mode": "ORDINATES"})
     blockers: bool = param(
         True, "Surfaces stop light between cells; without it the grid is empty space")
     glossy_texels: bool = param(
-        True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing. Directions only")
+        True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing. Directions only",
+        only={"mode": "ORDINATES"})
     lattice_px: int = param(
         6, "Distance between pixels that look into the grid; those between are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
     residual: float = param(
-        0.01, "Share of the flux in motion at which steps end. Harmonics only", low=0.0, high=1.0)
+        0.01, "Share of the flux in motion at which steps end. Harmonics only", low=0.0, high=1.0,
+        only={"mode": "HARMONICS"})
     max_iterations: int = param(
         64, "Steps that are taken at most; in open space light hardly ever leaves. Harmonics only",
-        low=1, high=1024, soft_high=256)
+        low=1, high=1024, soft_high=256, only={"mode": "HARMONICS"})
     iterations: int = param(
         8, "Steps, each to the next cell; more of them brighten what is far. As published only",
-        low=1, high=256, soft_high=64)
+        low=1, high=256, soft_high=64, only={"mode": "PAPER"})
     damping: bool = param(
-        True, "Darken light that changes against its direction across a surface: it came through. As published only")
+        True, "Darken light that changes against its direction across a surface: it came through. As published only",
+        only={"mode": "PAPER"})
 
 
 @dataclass(frozen=True)
@@ -190,10 +198,11 @@ class SsrParams(Params):
     lattice_px: int = param(
         4, "Largest distance between traced pixels on rough surfaces; pixels between them are interpolated",
         low=1, high=4, unit="px")
-    step_px: int = param(4, "Length of a step where rays take even steps", low=1, high=64, unit="px")
+    step_px: int = param(
+        4, "Length of a step where rays take even steps", low=1, high=64, unit="px", only={"method": "LINEAR"})
     thickness: float = param(
         0.02, "Thickness of what the camera sees where no triangles are asked, as a share of the scene's size: too thin "
-        "leaves holes, too thick smears", low=0.0, high=1.0)
+        "leaves holes, too thick smears", low=0.0, high=1.0, only={"fallback": ("WORLD", "CONES")})
     edge_fade: float = param(
         0.05, "Width of the frame's edge over which hits in the picture fade into what answers beyond it, as a share of its "
         "shorter side", low=0.0, high=0.5)

@@ -70,6 +70,7 @@ class Context:
         self._bvh: Any = None
         self._voxels: tuple[Any, Any, Any] = (None, None, None)
         self.light: dict[Transport, np.ndarray] = {}
+        self.span = (0.0, 1.0)                   # of a frame's progress that the shares of checkpoints lie in
 
     @contextlib.contextmanager
     def listening(self, is_cancelled: Callable[[], bool], report: Callable[[str, float], None]) -> Iterator[None]:
@@ -79,7 +80,7 @@ class Context:
         no longer free its Cycles session.
         """
         before = self.is_cancelled, self._report
-        self.is_cancelled, self._report = is_cancelled, report
+        self.is_cancelled, self._report, self.span = is_cancelled, report, (0.0, 1.0)
         try:
             yield
         finally:
@@ -90,7 +91,7 @@ class Context:
         if self.is_cancelled():
             raise Cancelled("the render was cancelled")
         if text:
-            self._report(text, share)
+            self._report(text, self.span[0] + (self.span[1] - self.span[0]) * share)
 
     def bvh(self, geometry: Geometry) -> Any:
         """`kernels.bvh.Bvh` over the triangles of `geometry`."""

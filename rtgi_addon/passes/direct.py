@@ -37,6 +37,7 @@ BIG_PILOTS = 8              # more of them, inside the shape, for lamps that loo
 BIG = f32(0.1)              # half size over distance from which a lamp looks large
 BLOCK = 32                  # pixels that one thread traces in a row
 TILE_PIXELS = 1 << 17       # pixels between two looks at Esc
+TILE_RAYS = 1 << 21         # and rays at most: some half a second's
 POSITION_ERROR = f32(2e-6)  # of the distance to the viewer and of the coordinates
 OFFSET = f32(1.5e-6)        # of the coordinates: rounding of a ray's start on its triangle
 SKIP = f32(1e-6)            # of the largest coordinate: what a shadow ray does not look at before its start
@@ -94,13 +95,18 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
         common = (pack_lamp(light, far_m), colours, pixels, seed * 7919 + index)
         asked[light.name] = 0
         for tile in range(tiles):
-            context.checkpoint("Direct light", (index + tile / tiles) / len(frame.lights))
+            share = (index + tile / tiles) / len(frame.lights)
+            context.checkpoint("Direct Light", share)
             part = surface[tile * len(surface) // tiles:(tile + 1) * len(surface) // tiles]
             _light_pixels(part, *common, shadow_map, test, bare, out, state)
             left = part[state[part] == shadow.ASK]
             asked[light.name] += len(left)
-            if has_rays and len(left):
-                _trace_pixels(left, *common, shadow_map, bare, starts, bvh, pilots, params.soft_shadow_rays, out)
+            if has_rays:
+                step = max(TILE_RAYS // params.soft_shadow_rays, 1)
+                for first in range(0, len(left), step):
+                    context.checkpoint("Direct Light", share)
+                    _trace_pixels(left[first:first + step], *common, shadow_map, bare, starts, bvh, pilots,
+                                  params.soft_shadow_rays, out)
             elif len(left):
                 _ask_map(left, colours, pixels, shadow_map, bare, out)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -383,5 +389,5 @@ def _ask_map(index, colours, pixels, shadow_map, bare, out):
         _add(q, bare.diffuse[q] * share, bare.glossy[q] * share, colours, pixels, out)
 
 
-TECHNIQUE = Technique("direct", "Direct light", DirectParams, compute_direct,
+TECHNIQUE = Technique("direct", "Direct Light", DirectParams, compute_direct,
                       frozenset({Transport.DIRECT_DIFFUSE, Transport.DIRECT_GLOSSY}), needs_geometry=True, needs_views=True)

@@ -25,16 +25,20 @@ def register() -> None:
 
     from .. import engine
     from ..core import cache_root
-    from . import panels, preferences, props
+    from . import panels, preferences, presets, props, session, tasks, views
 
     with ExitStack() as undo:
         cache_root.set_cache_root(preferences.extension_cache())
         undo.callback(cache_root.set_cache_root, None)
-        for cls in (*props.CLASSES, *preferences.CLASSES, *panels.CLASSES):
+        undo.callback(tasks.stop)
+        for cls in (*props.CLASSES, *session.CLASSES, *tasks.CLASSES, *preferences.CLASSES, *presets.CLASSES,
+                    *views.CLASSES, *panels.CLASSES):
             bpy.utils.register_class(cls)
             undo.callback(bpy.utils.unregister_class, cls)
         bpy.types.Scene.rtgi = bpy.props.PointerProperty(type=props.SCENE_GROUP, name="RTGI")
         undo.callback(delattr, bpy.types.Scene, "rtgi")
+        bpy.types.WindowManager.rtgi = bpy.props.PointerProperty(type=session.RTGI_session, name="RTGI")
+        undo.callback(delattr, bpy.types.WindowManager, "rtgi")
         engine.register()
         undo.callback(engine.unregister)
         undo.enter_context(panels.shown_with_rtgi())

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import textwrap
 from collections.abc import Iterator
+from typing import Any
 
 import bpy
 
-from ..core.techniques import LABELS
-from . import props
+from ..core.cache_root import cache_root
+from ..core.params import is_read
+from ..core.techniques import ALWAYS_ON, LABELS, TECHNIQUE_PARAMS
+from . import presets, props, tasks
 
 ENGINE = "RTGI"
 
 # settings of Cycles that RTGI decides itself or that mean nothing to it; the rest of Cycles' panels stay
 _HIDDEN_PREFIXES = (
     "CYCLES_RENDER_PT_bake", "CYCLES_RENDER_PT_sampling", "CYCLES_RENDER_PT_light_paths", "CYCLES_RENDER_PT_performance_",
-    "CYCLES_RENDER_PT_subdivision", "CYCLES_RENDER_PT_volumes", "CYCLES_RENDER_PT_motion_blur", "CYCLES_RENDER_PT_passes",
+    "CYCLES_RENDER_PT_subdivision", "CYCLES_RENDER_PT_volumes", "CYCLES_RENDER_PT_motion_blur", "CYCLES_RENDER_PT_curves",
+    "CYCLES_RENDER_PT_passes_light",             # ours has those that RTGI fills; this also hides the light groups
+    "CYCLES_OBJECT_PT_lightgroup", "CYCLES_WORLD_PT_settings_light_group",
     "CYCLES_RENDER_PT_film_pixel_filter", "CYCLES_RENDER_PT_debug", "CYCLES_VIEW3D_PT_", "CYCLES_PT_sampling",
     "CYCLES_OBJECT_PT_motion_blur", "CYCLES_OBJECT_PT_shading_caustics", "CYCLES_OBJECT_PT_shading_gi_approximation",
     "CYCLES_CAMERA_PT_dof", "CYCLES_WORLD_PT_mist", "CYCLES_WORLD_PT_volume", "CYCLES_MATERIAL_PT_volume",
     "CYCLES_MATERIAL_PT_preview", "CYCLES_LIGHT_PT_preview", "CYCLES_WORLD_PT_preview", "CyclesPresetPanel",
 )
-_KEPT = ("CYCLES_RENDER_PT_performance_threads",)
+_KEPT = ("CYCLES_RENDER_PT_performance_threads", "CYCLES_RENDER_PT_performance_final_render")
 
 
 def shared_panels() -> Iterator[type]:
@@ -79,10 +86,48 @@ class RTGI_OT_reset_to_preset(bpy.types.Operator):
         return {"FINISHED"}
 
 
+STAGE_LABELS = {"bvh": "BVH", **LABELS}
+WIDE_PX = 380               # a panel as wide as this has room for all columns of the comparison
+_found_kernels = False
+
+
+def has_kernels() -> bool:
+    """Whether any kernel was ever compiled here; asked at each redraw, so a yes is remembered."""
+    global _found_kernels
+    _found_kernels = _found_kernels or next(cache_root().rglob("*.nbi"), None) is not None
+    return _found_kernels
+
+
+def last_report() -> dict[str, Any] | None:
+    """Report of the newest render, or None."""
+    from ..engine import last_result
+
+    result = last_result()
+    return result.report if result is not None else None
+
+
+def panel_width(context: bpy.types.Context) -> float:
+    """Width in px, at scale 1, of the region that is drawn; 0 without a window."""
+    return context.region.width / max(context.preferences.system.ui_scale, 0.1) if context.region is not None else 0.0
+
+
+def draw_text(layout: Any, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
+    """A text over as many lines as the panel's width asks for; labels do not wrap by themselves."""
+    # letters of Blender's font take 6.2 px on average, margins and icon 70 px
+    letters = max(int((panel_width(context) - 70) / 6.2), 24)
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for number, line in enumerate(textwrap.wrap(text, letters)):
+        column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
 class RTGI_PT_quality(_RenderPanel, bpy.types.Panel):
     """Preset and choice of techniques."""
 
     bl_label = "RTGI"
+
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
+        presets.RTGI_PT_presets.draw_panel_header(self.layout)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, group = self.layout, context.scene.rtgi
@@ -90,76 +135,59 @@ class RTGI_PT_quality(_RenderPanel, bpy.types.Panel):
         row.prop(group, "preset", expand=True)
         if props.differs_from_preset(group):
             row = layout.row()
-            row.label(text="Changed since the preset was chosen")
+            row.label(text="Changed")
             row.operator("rtgi.reset_to_preset", icon="LOOP_BACK")
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(group, "use_auto")
         column.prop(group, "seed")
+        if not tasks.draw_running(layout, tasks.RTGI_OT_warm_up.bl_label) and not has_kernels():
+            draw_text(layout, context, "The first render compiles kernels: a minute, and never again", "INFO")
+            layout.operator("rtgi.warm_up", icon="FILE_REFRESH")
 
 
-class RTGI_PT_direct(_RenderPanel, bpy.types.Panel):
-    """Direct light of lamps."""
+def technique_note(report: dict[str, Any], name: str) -> str:
+    """What became of a technique in the render of `report`: its time, or why it was left out; "" if nothing is known."""
+    if name in [run["technique"] for run in report["plan"]["runs"]]:
+        return "Last render: " + "".join(f"{stage['ms']:.0f} ms" for stage in report["stages"] if stage["name"] == name)
+    return next((f"Left out of the last render: {item['why']}" for item in report["plan"]["left_out"]
+                 if item["what"] == LABELS[name]), "")
 
-    bl_label = LABELS["direct"]
+
+class _TechniquePanel(_RenderPanel):
+    """Settings of one technique: those that it reads as it is set now."""
+
     bl_parent_id = "RTGI_PT_quality"
     bl_options = {"DEFAULT_CLOSED"}
+    technique = ""
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
+        layout, name = self.layout, self.technique
         layout.use_property_split, layout.use_property_decorate = True, False
-        direct = context.scene.rtgi.direct
-        layout.prop(direct, "soft_shadow_rays")
-        layout.prop(direct, "exact_shadows")
+        column, group = layout.column(), getattr(context.scene.rtgi, name)
+        column.active = props.is_enabled(context.scene.rtgi, name)
+        for field in dataclasses.fields(TECHNIQUE_PARAMS[name]):
+            if is_read(field, group):
+                column.prop(group, field.name)
+        report = last_report()
+        if report is not None and (note := technique_note(report, name)):
+            draw_text(layout, context, note, "INFO")
 
 
-class RTGI_PT_world(_RenderPanel, bpy.types.Panel):
-    """Direct light of the world."""
-
-    bl_label = LABELS["world"]
-    bl_parent_id = "RTGI_PT_quality"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
-        layout.use_property_split, layout.use_property_decorate = True, False
-        world = context.scene.rtgi.world
-        layout.prop(world, "rays")
-        layout.prop(world, "lattice_px")
-
-
-class RTGI_PT_rsm(_RenderPanel, bpy.types.Panel):
-    """The bounce by reflective shadow maps."""
-
-    bl_label = LABELS["rsm"]
-    bl_parent_id = "RTGI_PT_quality"
-
-    # which settings each method reads
-    SETTINGS_OF = {"VISIBLE": ("rays", "lattice_px", "clusters", "glossy_texels"),
-                   "ALL": ("samples",),
-                   "PAPER": ("samples", "radius", "weighting")}
+class _ToggledPanel(_TechniquePanel):
+    """A technique with a check mark in its header."""
 
     def draw_header(self, context: bpy.types.Context) -> None:
-        self.layout.prop(context.scene.rtgi, "use_rsm", text="")
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout, group = self.layout, context.scene.rtgi
-        layout.use_property_split, layout.use_property_decorate = True, False
-        layout.active = group.use_rsm
-        layout.prop(group.rsm, "method")
-        for name in self.SETTINGS_OF[group.rsm.method]:
-            layout.prop(group.rsm, name)
+        self.layout.prop(context.scene.rtgi, f"use_{self.technique}", text="")
 
 
-def last_render_lines(report: dict) -> Iterator[tuple[str, str]]:
-    """(icon, text) lines that sum up the report of a render: total, plan, stages, warnings."""
-    yield "TIME", f"{report['total_ms'] / 1000:.2f} s, and {report['jit_ms'] / 1000:.2f} s compiling"
-    for stage in report["stages"]:
-        yield "NONE", f"{stage['name']}: {stage['ms']:.0f} ms"
-    for line in plan_lines(report["plan"]):
-        yield "DOT", line
-    for warning in report["warnings"]:
-        yield "ERROR", warning
+def _technique_panel(name: str) -> type:
+    base = _TechniquePanel if name in ALWAYS_ON else _ToggledPanel
+    return type(f"RTGI_PT_{name}", (base, bpy.types.Panel), {
+        "__doc__": TECHNIQUE_PARAMS[name].__doc__, "__module__": __name__, "bl_label": LABELS[name], "technique": name})
+
+
+TECHNIQUE_PANELS = {name: _technique_panel(name) for name in TECHNIQUE_PARAMS}
 
 
 def plan_lines(plan: dict) -> Iterator[str]:
@@ -174,19 +202,109 @@ class RTGI_PT_last_render(_RenderPanel, bpy.types.Panel):
     """What the last render did, how long it took and what it could not model."""
 
     bl_label = "Last Render"
-    bl_parent_id = "RTGI_PT_quality"
     bl_options = {"DEFAULT_CLOSED"}
 
-    def draw(self, _context: bpy.types.Context) -> None:
-        from ..engine import last_result
-
-        column = self.layout.column(align=True)
-        result = last_result()
-        if result is None:
-            column.label(text="Nothing was rendered yet")
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, report = self.layout, last_report()
+        if report is None:
+            layout.label(text="Nothing was rendered yet")
             return
-        for icon, text in last_render_lines(result.report):
-            column.label(text=text, icon=icon)
+        row = layout.row()
+        row.use_property_split, row.use_property_decorate = True, False
+        row.prop(context.window_manager.rtgi, "view")
+        row.operator("rtgi.show_view", text="", icon="IMAGE_DATA")
+        for warning in report["warnings"]:
+            draw_text(layout, context, warning, "ERROR")
+        for line in plan_lines(report["plan"]):
+            draw_text(layout, context, line, "DOT")
 
 
-CLASSES = (RTGI_OT_reset_to_preset, RTGI_PT_quality, RTGI_PT_direct, RTGI_PT_world, RTGI_PT_rsm, RTGI_PT_last_render)
+class RTGI_PT_times(_RenderPanel, bpy.types.Panel):
+    """Milliseconds of each stage of the last render."""
+
+    bl_label = "Times"
+    bl_parent_id = "RTGI_PT_last_render"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return super().poll(context) and last_report() is not None
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        report = last_report()
+        if report is None:
+            return
+        column = self.layout.column(align=True)
+        column.scale_y = 0.8
+        for name, value in time_lines(report):
+            row = column.split(factor=0.6)
+            row.label(text=name)
+            right = row.row()
+            right.alignment = "RIGHT"
+            right.label(text=value)
+
+
+def time_lines(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """(stage, time) of a report, the sum and what was compiled last."""
+    for stage in report["stages"]:
+        yield STAGE_LABELS.get(stage["name"], stage["name"].capitalize()), f"{stage['ms']:.0f} ms"
+    yield "Sum", f"{report['total_ms'] / 1000:.2f} s"
+    yield "Compiling, besides", f"{report['jit_ms'] / 1000:.2f} s"
+
+
+class RTGI_PT_compare(_RenderPanel, bpy.types.Panel):
+    """Errors and times beside Cycles at one bounce."""
+
+    bl_label = "Compare with Cycles"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, session, found = self.layout, context.window_manager.rtgi, tasks.last_comparison()
+        if not tasks.draw_running(layout, tasks.RTGI_OT_compare.bl_label):
+            column = layout.column()
+            column.use_property_split, column.use_property_decorate = True, False
+            keeps = found is not None and bool(found.reference) and session.keeps_reference
+            row = column.row()
+            row.active = not keeps
+            row.prop(session, "samples")
+            if found is not None and found.reference:
+                column.prop(session, "keeps_reference")
+            words = layout.operator("rtgi.compare", icon="SPLIT_HORIZONTAL")
+            words.samples, words.reference = session.samples, found.reference if keeps else ""
+        if found is None:
+            return
+        draw_text(layout, context, f"{found.title}: times, and errors against Cycles")
+        shown = range(1, len(tasks.HEAD)) if panel_width(context) > WIDE_PX else tasks.NARROW_COLUMNS
+        table = layout.split(factor=0.4)
+        names, rest = table.column(align=True), table.row()
+        for column, number in ((names, 0), *((rest.column(align=True), number) for number in shown)):
+            column.scale_y = 0.8
+            for cells in (tasks.HEAD, *found.rows):
+                cell = column.row()
+                cell.alignment = "RIGHT" if number else "LEFT"
+                cell.label(text=cells[number])
+        layout.operator("rtgi.show_comparison", icon="IMAGE_DATA")
+
+
+class RTGI_PT_light_passes(_RenderPanel, bpy.types.Panel):
+    """Passes of the view layer that hold light, as far as RTGI fills them."""
+
+    bl_label = "Light Passes"
+    bl_context = "view_layer"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        from ..engine import OUTPUT_PASSES
+
+        layout, layer = self.layout, context.view_layer
+        layout.use_property_split, layout.use_property_decorate = True, False
+        for kind in ("diffuse", "glossy"):
+            column = layout.column(heading=kind.capitalize(), align=True)
+            for part in ("direct", "indirect", "color"):
+                column.prop(layer, f"use_pass_{kind}_{part}", text=part.capitalize())
+        column = layout.column(heading="Other", align=True)
+        column.prop(layer, "use_pass_emit", text="Emission")
+        column.prop(layer, "use_pass_environment")
+        draw_text(layout, context, "Always there: " + ", ".join(name for name, _ in OUTPUT_PASSES), "INFO")
+
+
+CLASSES = (RTGI_OT_reset_to_preset, RTGI_PT_quality, *TECHNIQUE_PANELS.values(), RTGI_PT_last_render, RTGI_PT_times,
+           RTGI_PT_compare, RTGI_PT_light_passes)

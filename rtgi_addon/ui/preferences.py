@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import bpy
 
 from ..core.cache_root import cache_root
+from . import tasks
 
 # "bl_ext.<repository>.<id>" where Blender installed the extension, whose package holds ours; else our package itself
 _PACKAGE = __package__.rpartition(".")[0]
@@ -25,46 +27,23 @@ def preferred_threads() -> int:
     return addon.preferences.threads if addon and addon.preferences else 0
 
 
-class RTGI_OT_warm_up(bpy.types.Operator):
-    """Compile every kernel now, so that the first render does not have to wait for it"""
+def cache_size_mb() -> float:
+    """Size of all compiled kernels that are kept, also of earlier versions."""
+    return sum(path.stat().st_size for path in cache_root().rglob("*") if path.is_file()) / 1e6
 
-    bl_idname = "rtgi.warm_up"
-    bl_label = "Warm Up Kernels"
+
+class RTGI_OT_clear_cache(bpy.types.Operator):
+    """Delete the compiled kernels; the next render of a new session compiles them again"""
+
+    bl_idname = "rtgi.clear_cache"
+    bl_label = "Clear"
     bl_options = {"REGISTER"}
 
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        from ..warmup import warm_up
-
-        self._steps, self._seconds = warm_up(preferred_threads()), 0.0
-        self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set("RTGI: compiling kernels (Esc stops)")
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type == "ESC":
-            self._finish(context)
-            return {"CANCELLED"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        step = next(self._steps, None)
-        if step is None:
-            self._finish(context)
-            self.report({"INFO"}, f"RTGI: kernels are ready after {self._seconds:.1f} s")
-            return {"FINISHED"}
-        self._seconds += step.seconds
-        context.workspace.status_text_set(f"RTGI: {step.name} compiled in {step.seconds:.1f} s (Esc stops)")
-        return {"RUNNING_MODAL"}
-
-    def _finish(self, context: bpy.types.Context) -> None:
-        context.window_manager.event_timer_remove(self._timer)
-        context.workspace.status_text_set(None)
-
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        from ..warmup import warm_up
-
-        seconds = sum(step.seconds for step in warm_up(preferred_threads()))
-        self.report({"INFO"}, f"RTGI: kernels are ready after {seconds:.1f} s")
+        # only what numba wrote: the folder may be one that the user named
+        for path in [path for ending in ("*.nbi", "*.nbc") for path in cache_root().rglob(ending)]:
+            with contextlib.suppress(OSError):   # in use, on Windows
+                path.unlink()
         return {"FINISHED"}
 
 
@@ -81,9 +60,11 @@ class RTGI_preferences(bpy.types.AddonPreferences):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "threads")
-        row = layout.row()
-        row.label(text=f"Compiled kernels: {cache_root()}")
-        row.operator("rtgi.warm_up", icon="FILE_REFRESH")
+        layout.label(text=f"Compiled kernels: {cache_size_mb():.1f} MB in {cache_root()}")
+        if not tasks.draw_running(layout, tasks.RTGI_OT_warm_up.bl_label):
+            row = layout.row()
+            row.operator("rtgi.warm_up", icon="FILE_REFRESH")
+            row.operator("rtgi.clear_cache", icon="TRASH")
 
 
-CLASSES = (RTGI_OT_warm_up, RTGI_preferences)
+CLASSES = (RTGI_OT_clear_cache, RTGI_preferences)

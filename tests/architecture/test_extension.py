@@ -15,9 +15,11 @@ import pytest
 import rtgi_addon
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-# installs the zip into an empty user folder, switches it on, off and on again, removes it; prints what it saw after each
+# installs the zip into an empty user folder, renders, switches it off and on again, renders, removes it; prints what it saw.
+# Only direct light, whose kernels compile fastest: the cache is the extension's own and empty
 LIFE = """
 import sys, bpy
+from pathlib import Path
 
 def look():
     settings = hasattr(bpy.types.Scene, "rtgi")
@@ -25,14 +27,37 @@ def look():
     panels = [n for n in dir(bpy.types) if n.startswith("RTGI_PT")]
     return f"SEEN {settings} {names.count('RTGI')} {bool(panels)}"
 
+def render():
+    import numpy as np
+
+    path = Path(sys.argv[2]) / "picture.exr"
+    scene = bpy.context.scene
+    scene.render.engine, scene.render.filepath = "RTGI", str(path)
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 16, 9, 100
+    if bpy.app.version >= (5, 0, 0):
+        scene.render.image_settings.media_type = "IMAGE"
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    for name in [p.identifier for p in scene.rtgi.bl_rna.properties if p.identifier.startswith("use_")]:
+        setattr(scene.rtgi, name, name == "use_auto")
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path))
+    mean = float(np.mean(image.pixels[:]))
+    bpy.data.images.remove(image)
+    path.unlink()
+    return f"PICTURE {mean > 0.01}"
+
+bpy.context.scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.0
 bpy.ops.extensions.package_install_files(repo="user_default", filepath=sys.argv[1], enable_on_install=True)
 print(look())
+print("NUMBA", "numba" in sys.modules)
+print(render())
 name = "bl_ext.user_default.rtgi"
 bpy.ops.preferences.addon_disable(module=name)
 print(look())
 bpy.ops.preferences.addon_enable(module=name)
 print(look())
-print("NUMBA", "numba" in sys.modules)
+print(render())
+print("KERNELS", *{str(p.relative_to(sys.argv[2]).parent.parent) for p in Path(sys.argv[2]).rglob("*.nbi")})
 bpy.ops.extensions.package_uninstall(repo_index=[r.module for r in bpy.context.preferences.extensions.repos].index(
     "user_default"), pkg_id="rtgi")
 print(look())
@@ -96,14 +121,22 @@ def test_zip_holds_no_leftovers_of_python(archive):
 
 
 def test_zip_lives_through_install_disable_enable_and_removal(archive, tmp_path):
-    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(tmp_path)}
-    run = subprocess.run([sys.executable, "-c", LIFE, archive.filename], env=environment, capture_output=True, text=True,
-                         cwd=tmp_path, timeout=120)
+    # without the tests' own kernel cache: the extension must write into its own folder
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    environment |= {"BLENDER_USER_RESOURCES": str(tmp_path), "HOME": str(tmp_path / "home")}
+    run = subprocess.run([sys.executable, "-c", LIFE, archive.filename, str(tmp_path)], env=environment,
+                         capture_output=True, text=True, cwd=tmp_path, timeout=600)
     lines = run.stdout.splitlines()
     on, off = "SEEN True 1 True", "SEEN False 0 False"
     assert [line for line in lines if line.startswith("SEEN")] == [on, off, on, off], run.stdout + run.stderr
     assert "NUMBA False" in lines            # switching the add-on on costs nobody's start half a second
-    assert list(tmp_path.rglob("rtgi*")) == []
+    assert [line for line in lines if line.startswith("PICTURE")] == ["PICTURE True"] * 2, run.stdout + run.stderr
+    (kernels,) = [line.split()[1:] for line in lines if line.startswith("KERNELS")]
+    assert kernels and all(folder.startswith("extensions/.user/user_default/rtgi/") for folder in kernels), kernels
+    assert list(tmp_path.rglob("*rtgi*")) == [] and list(tmp_path.rglob("*.nb?")) == []
+    # Blender itself keeps a list of extensions, and empty folders for thumbnails in the home folder
+    strangers = [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "compat.dat"]
+    assert strangers == []
 
 
 def test_manifest_and_package_name_one_version():

@@ -206,6 +206,53 @@ def test_transports_reach_the_multilayer_file_and_add_up(bpy_session, small_scen
     np.testing.assert_allclose(combined, last_result().combined[..., :3], rtol=1e-5, atol=1e-6)
 
 
+def test_passes_put_the_picture_together_as_those_of_cycles_do(bpy_session, small_scene, tmp_path):
+    from rtgi_addon.imageio import read_exr
+
+    layer, settings = small_scene.view_layers[0], small_scene.render.image_settings
+    for name in ("diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_direct", "glossy_indirect", "glossy_color",
+                 "emit", "environment"):
+        setattr(layer, f"use_pass_{name}", True)
+    small_scene.world = bpy_session.data.worlds.new("Grey")
+    if bpy_session.app.version < (5, 0, 0):
+        small_scene.world.use_nodes = True
+    small_scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.3
+    wall = bpy_session.data.materials["Wall"].node_tree.nodes["Principled BSDF"]
+    wall.inputs["Emission Strength"].default_value = 0.2
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    small_scene.render.filepath = str(tmp_path / "layers.exr")
+    bpy_session.ops.render.render(write_still=True)
+    channels = read_exr(tmp_path / "layers.exr")
+
+    def of(short, long):
+        """A pass by the name of Blender 4 or 5."""
+        found = {name.split(".")[-1]: values for name, values in channels.items()
+                 if name.split(".")[-2] in (short, long)}
+        return np.stack([found[c] for c in "RGB"], -1)
+
+    total = of("Emit", "Emission") + of("Env", "Environment")
+    for kind in ("Diff", "Gloss"):
+        long = {"Diff": "Diffuse", "Gloss": "Glossy"}[kind]
+        total = total + of(f"{kind}Col", f"{long} Color") * (of(f"{kind}Dir", f"{long} Direct")
+                                                            + of(f"{kind}Ind", f"{long} Indirect"))
+    assert of("GlossDir", "Glossy Direct").max() > 0 and of("GlossInd", "Glossy Indirect").max() > 0
+    # float32 sums in another order; a division and a multiplication by the same colour
+    assert np.allclose(total, of("Combined", "Combined"), rtol=1e-5, atol=1e-6)
+
+
+def test_missing_library_is_one_clear_line(bpy_session, small_scene, monkeypatch):
+    from rtgi_addon import engine
+
+    def fail():
+        raise ModuleNotFoundError("No module named 'numba'", name="numba")
+
+    monkeypatch.setattr(engine, "_shared_context", fail)
+    with pytest.raises(RuntimeError, match="numba does not load .* install the zip that is made for this system"):
+        bpy_session.ops.render.render()
+
+
 def test_image_datablock_holds_the_composite(bpy_session, small_scene):
     bpy_session.ops.render.render()
     image = bpy_session.data.images["RTGI"]

@@ -1,20 +1,24 @@
 """Properties, panels, preferences and registration."""
 
+import dataclasses
 import subprocess
 import sys
+import types
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from rtgi_addon.core.techniques import PRESET_PARAMS, TECHNIQUE_PARAMS, default_settings
+from rtgi_addon.core.techniques import ALWAYS_ON, PRESET_PARAMS, TECHNIQUE_PARAMS, default_settings, optional_techniques
 
 pytestmark = pytest.mark.blender
 
 
 class FakeLayout:
-    """Stands in for a panel's layout and notes what is drawn; a property that does not exist raises."""
+    """Stands in for a panel's layout and notes what is drawn; a property or an operator that does not exist raises."""
 
-    def __init__(self, drawn=None):
-        self.__dict__["drawn"] = [] if drawn is None else drawn
+    def __init__(self, bpy, drawn=None):
+        self.__dict__.update(bpy=bpy, drawn=[] if drawn is None else drawn)
 
     def prop(self, owner, name, **_words):
         getattr(owner, name)
@@ -24,19 +28,38 @@ class FakeLayout:
         self.drawn.append(text)
 
     def operator(self, name, **_words):
+        module, _, function = name.partition(".")
+        getattr(getattr(self.bpy.ops, module), function).get_rna_type()
         self.drawn.append(name)
+        return types.SimpleNamespace()
+
+    def popover(self, panel, **_words):
+        assert hasattr(self.bpy.types, panel)
+        self.drawn.append(panel)
+
+    def progress(self, text="", **_words):
+        self.drawn.append(text)
 
     def row(self, **_words):
-        return FakeLayout(self.drawn)
+        return FakeLayout(self.bpy, self.drawn)
 
-    column = row
+    column = split = row
 
 
-def drawn_by(bpy, panel):
+def drawn_by(bpy, panel, what="draw"):
     """Names of what `panel` puts on screen now."""
-    layout = FakeLayout()
-    panel.draw(type("Drawn", (), {"layout": layout, "SETTINGS_OF": getattr(panel, "SETTINGS_OF", None)})(), bpy.context)
+    layout = FakeLayout(bpy)
+    drawn = types.SimpleNamespace(layout=layout, technique=getattr(panel, "technique", ""))
+    getattr(panel, what)(drawn, bpy.context)
     return layout.drawn
+
+
+@pytest.fixture
+def no_render(bpy_session, monkeypatch):
+    """As if nothing had been rendered yet in this session."""
+    from rtgi_addon import engine
+
+    monkeypatch.setattr(engine, "_last_result", None)
 
 
 def test_fresh_scene_has_the_default_settings(empty_scene):
@@ -55,8 +78,6 @@ def test_settings_survive_the_way_to_the_scene_and_back(empty_scene, preset):
 
 
 def test_every_parameter_carries_its_range_and_description(empty_scene):
-    import dataclasses
-
     for name, kind in TECHNIQUE_PARAMS.items():
         group = getattr(empty_scene.rtgi, name)
         for field in dataclasses.fields(kind):
@@ -93,19 +114,53 @@ def test_settings_are_saved_with_the_file(bpy_session, empty_scene, tmp_path):
     assert bpy_session.context.scene.rtgi.rsm.samples == 123
 
 
-def test_rsm_panel_shows_only_what_the_method_reads(bpy_session, empty_scene):
-    from rtgi_addon.ui.panels import RTGI_PT_rsm
+def test_rsm_panel_shows_only_what_the_method_reads(bpy_session, empty_scene, no_render):
+    from rtgi_addon.ui.panels import TECHNIQUE_PANELS
 
-    assert drawn_by(bpy_session, RTGI_PT_rsm) == ["method", "rays", "lattice_px", "clusters", "glossy_texels"]
+    panel = TECHNIQUE_PANELS["rsm"]
+    assert drawn_by(bpy_session, panel) == ["method", "lattice_px", "rays", "clusters", "glossy_texels"]
     empty_scene.rtgi.rsm.method = "PAPER"
-    assert drawn_by(bpy_session, RTGI_PT_rsm) == ["method", "samples", "radius", "weighting"]
+    assert drawn_by(bpy_session, panel) == ["method", "samples", "radius", "weighting"]
+
+
+def test_every_parameter_is_shown_under_some_choice(bpy_session, empty_scene, no_render):
+    from rtgi_addon.ui.panels import TECHNIQUE_PANELS
+
+    for name, kind in TECHNIQUE_PARAMS.items():
+        fields, shown = dataclasses.fields(kind), set()
+        for chooser in [f for f in fields if f.metadata["choices"]] or [None]:
+            for choice in [c[0] for c in chooser.metadata["choices"]] if chooser else [None]:
+                if chooser:
+                    setattr(getattr(empty_scene.rtgi, name), chooser.name, choice)
+                shown |= set(drawn_by(bpy_session, TECHNIQUE_PANELS[name]))
+        assert shown == {f.name for f in fields}
+
+
+def test_techniques_that_can_be_switched_off_have_a_check_mark_in_their_header(bpy_session, empty_scene):
+    from rtgi_addon.ui.panels import TECHNIQUE_PANELS
+
+    for name in optional_techniques():
+        assert drawn_by(bpy_session, TECHNIQUE_PANELS[name], "draw_header") == [f"use_{name}"]
+    assert not any(hasattr(TECHNIQUE_PANELS[name], "draw_header") for name in ALWAYS_ON)
 
 
 def test_every_panel_draws(bpy_session, empty_scene):
     from rtgi_addon.ui import panels
 
-    for panel in (c for c in panels.CLASSES if issubclass(c, bpy_session.types.Panel)):
+    for panel in (c for c in panels.CLASSES if issubclass(c, bpy_session.types.Panel) and c is not panels.RTGI_PT_times):
         assert drawn_by(bpy_session, panel), panel.__name__
+
+
+def test_panels_after_a_render_say_what_ran_what_was_left_out_and_how_long_it_took(bpy_session, small_scene):
+    from rtgi_addon.ui import panels
+
+    bpy_session.ops.render.render()
+    plan = " ".join(drawn_by(bpy_session, panels.RTGI_PT_last_render))
+    assert "Direct Light ran" in plan and "World Light left out: the world is black" in plan
+    times = drawn_by(bpy_session, panels.RTGI_PT_times)
+    assert {"Camera view", "Direct Light", "BVH", "Sum"} <= set(times) and any(text.endswith(" ms") for text in times)
+    assert any(text.startswith("Last render: ") for text in drawn_by(bpy_session, panels.TECHNIQUE_PANELS["rsm"]))
+    assert "the world is black" in " ".join(drawn_by(bpy_session, panels.TECHNIQUE_PANELS["world"]))
 
 
 def test_panel_offers_the_reset_only_after_a_change_by_hand(bpy_session, empty_scene):
@@ -116,15 +171,41 @@ def test_panel_offers_the_reset_only_after_a_change_by_hand(bpy_session, empty_s
     assert "rtgi.reset_to_preset" in drawn_by(bpy_session, RTGI_PT_quality)
 
 
-def test_last_render_reads_as_lines():
-    from rtgi_addon.ui.panels import last_render_lines
+def test_image_shows_the_chosen_view_of_the_last_render(bpy_session, small_scene):
+    from rtgi_addon import engine
 
-    report = {"total_ms": 1500.0, "jit_ms": 200.0, "stages": [{"name": "rsm", "ms": 120.4}],
-              "plan": {"runs": [{"technique": "rsm", "label": "Reflective Shadow Maps"}],
-                       "left_out": [{"what": "World Light", "why": "the world is black"}]}, "warnings": ["volumes"]}
-    assert [text for _, text in last_render_lines(report)] == [
-        "1.50 s, and 0.20 s compiling", "rsm: 120 ms", "Reflective Shadow Maps ran",
-        "World Light left out: the world is black", "volumes"]
+    def mean():
+        image = bpy_session.data.images["RTGI"]
+        pixels = np.empty(len(image.pixels), np.float32)
+        image.pixels.foreach_get(pixels)
+        return pixels.reshape(36, 64, 4)[::-1, :, :3]
+
+    bpy_session.ops.render.render()
+    choice, result = bpy_session.context.window_manager.rtgi, engine.last_result()
+    try:
+        light = {transport.value: values for transport, values in result.transports.items()}
+        choice.view = "bounce diffuse"
+        assert np.array_equal(mean(), light["bounce diffuse"])
+        choice.view = "visibility"
+        assert np.array_equal(mean()[..., 0], result.visibility)
+    finally:
+        choice.view = "composite"
+    assert np.array_equal(mean(), result.combined[..., :3])
+
+
+def test_presets_of_the_users_own_bring_all_settings_back(bpy_session, empty_scene):
+    from rtgi_addon.ui.props import settings_from_scene, settings_to_scene
+
+    own = default_settings("QUALITY", ["rsm"]).with_params("rsm", method="PAPER", rays=7, samples=33)
+    settings_to_scene(own, empty_scene)
+    bpy_session.ops.rtgi.preset_add(name="Night shots")
+    settings_to_scene(default_settings(), empty_scene)
+    (folder,) = bpy_session.utils.preset_paths("rtgi/render")
+    (path,) = Path(folder).glob("*.py")
+    bpy_session.ops.script.execute_preset(filepath=str(path), menu_idname="RTGI_PT_presets")
+    assert settings_from_scene(empty_scene) == own
+    bpy_session.ops.rtgi.preset_add(name="Night_shots", remove_name=True)
+    assert not path.exists()
 
 
 def test_lamp_panels_of_cycles_appear_with_rtgi_and_its_sampling_does_not(bpy_session):
@@ -133,6 +214,18 @@ def test_lamp_panels_of_cycles_appear_with_rtgi_and_its_sampling_does_not(bpy_se
     assert "RTGI" in types.CYCLES_WORLD_PT_surface.COMPAT_ENGINES
     assert "RTGI" not in types.CYCLES_RENDER_PT_sampling.COMPAT_ENGINES
     assert "RTGI" not in types.CYCLES_RENDER_PT_light_paths.COMPAT_ENGINES
+
+
+@pytest.mark.parametrize("panel", [
+    "RENDER_PT_format", "RENDER_PT_frame_range", "RENDER_PT_output", "RENDER_PT_color_management", "CYCLES_RENDER_PT_film",
+    "CYCLES_RENDER_PT_film_transparency", "CYCLES_RENDER_PT_performance_threads",
+    "CYCLES_RENDER_PT_performance_final_render", "CYCLES_WORLD_PT_surface", "CYCLES_MATERIAL_PT_surface",
+    "CYCLES_PT_context_material", "CYCLES_LIGHT_PT_light", "CYCLES_LIGHT_PT_nodes", "VIEWLAYER_PT_layer",
+    "CYCLES_RENDER_PT_passes", "CYCLES_RENDER_PT_passes_data", "CYCLES_RENDER_PT_passes_crypto",
+    "CYCLES_OBJECT_PT_visibility", "DATA_PT_lens"])
+def test_panels_that_mean_the_same_for_rtgi_are_there(bpy_session, panel):
+    # a panel without the set is shown with every engine
+    assert "RTGI" in getattr(getattr(bpy_session.types, panel), "COMPAT_ENGINES", {"RTGI"})
 
 
 SCRIPT_TWICE = """

@@ -1,12 +1,14 @@
 """A render leaves the user's file as it was: settings, datablocks and the dirty flag."""
 
+from pathlib import Path
+
 import pytest
 
 # the dump reads every property, also those that Blender 6 will drop
 pytestmark = [pytest.mark.blender, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
 # what a render may add to the file's datablocks
-ALLOWED = {("images", "RTGI"), ("images", "Render Result")}
+ALLOWED = {("images", "RTGI"), ("images", "RTGI Compare"), ("images", "Render Result")}
 # data that Blender itself counts or works out, not settings of the user
 COMPUTED = {"bl_rna", "rna_type", "session_uid", "users", "is_evaluated", "original", "depsgraph", "preview", "id_data",
             "is_updated", "is_updated_data", "tag", "asset_data"}
@@ -172,3 +174,11 @@ def test_second_render_gives_the_same_picture(bpy_session, saved_scene):
     first = engine.last_result().combined.copy()
     bpy_session.ops.render.render()
     assert np.array_equal(first, engine.last_result().combined)
+
+
+def test_a_comparison_leaves_the_file_as_it_was(bpy_session, saved_scene):
+    path, content = bpy_session.data.filepath, Path(bpy_session.data.filepath).read_bytes()
+    before = state(bpy_session)
+    bpy_session.ops.rtgi.compare(samples=1)
+    assert_untouched(before, state(bpy_session))
+    assert bpy_session.data.filepath == path and Path(path).read_bytes() == content

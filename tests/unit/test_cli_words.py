@@ -1,5 +1,6 @@
 """What the command line understands and refuses, without Blender."""
 
+import dataclasses
 import gzip
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 
 from rtgi_addon import cli
 from rtgi_addon.blendfile import blend_version, refuse_newer
-from rtgi_addon.core.techniques import default_settings
+from rtgi_addon.core.techniques import TECHNIQUE_PARAMS, default_settings
 from rtgi_addon.errors import InputError
 
 
@@ -179,3 +180,21 @@ def test_blender_4_5_reads_a_5_0_file_with_a_warning(tmp_path):
 
 def test_file_of_the_same_blender_needs_no_warning(tmp_path):
     assert refuse_newer(blend(tmp_path / "a.blend"), (5, 2)) is None
+
+
+def test_settings_are_listed_with_range_meaning_and_when_they_are_read(capsys):
+    assert cli.main(["settings"]) == 0
+    said = capsys.readouterr().out
+    for name, kind in TECHNIQUE_PARAMS.items():
+        for field in dataclasses.fields(kind):
+            assert f"  {name}.{field.name}={cli.setting_words(field.default)} " in said and field.metadata["doc"] in said
+    assert cli.main(["settings", "rsm"]) == 0
+    said = capsys.readouterr().out
+    assert "rsm.radius=0.3   (0.001 to 1.0)" in said and "Read only with method paper" in said and "lpv." not in said
+
+
+def test_listed_defaults_can_be_set(capsys):
+    for name, kind in TECHNIQUE_PARAMS.items():
+        for field in dataclasses.fields(kind):
+            text = f"{name}.{field.name}={cli.setting_words(field.default)}"
+            assert cli.parse_setting(text) == (name, field.name, field.default)

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from rtgi_addon.core.settings import PRESETS
-from rtgi_addon.core.techniques import PRESET_PARAMS, TECHNIQUE_PARAMS, default_settings, preset_params
+from rtgi_addon.core.techniques import LABELS, PRESET_PARAMS, TECHNIQUE_PARAMS, default_settings, preset_params
 from rtgi_addon.errors import InputError
 
 
@@ -33,6 +33,21 @@ def test_every_number_has_a_range_and_every_field_a_description():
             assert meta["doc"]
             if not isinstance(field.default, (bool, str)):
                 assert meta["low"] <= field.default <= meta["high"], f"{kind.__name__}.{field.name}"
+
+
+def test_registry_and_panels_call_techniques_the_same():
+    from rtgi_addon.passes import TECHNIQUES
+
+    assert {name: technique.label for name, technique in TECHNIQUES.items()} == LABELS
+
+
+def test_a_setting_that_is_hidden_at_times_names_settings_and_values_that_exist():
+    for kind in TECHNIQUE_PARAMS.values():
+        fields = {field.name: field for field in dataclasses.fields(kind)}
+        for field in fields.values():
+            for name, values in field.metadata["only"].items():
+                known = [c[0] for c in fields[name].metadata["choices"]] or [True, False]
+                assert set(values if isinstance(values, tuple) else (values,)) <= set(known), f"{kind.__name__}.{field.name}"
 
 
 def test_listed_techniques_run_without_the_planner():
