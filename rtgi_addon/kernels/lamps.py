@@ -28,6 +28,7 @@ TINY = f32(0.004)           # half size over distance below which the centre sta
 GAUSS = f32(0.57735027)     # node of the two-point Gauss rule on [-1, 1]
 POLYGON = 16                # sides of the polygon that stands for an ellipse; of equal area, 0.03 % at most
 AREA_SAMPLES = 64           # of the sums that have no closed form
+FEW_AREA_SAMPLES = 16
 LEAST_ALPHA = f32(0.006)    # sharper lobes are below float32's resolution of the half vector
 
 
@@ -253,6 +254,8 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
         count, widening = AREA_SAMPLES, f32(0.12) * min(size, ONE)
         if is_closed and not is_glossy:
             count = 0
+        elif is_closed and alpha >= f32(0.25) * min(size, ONE):      # only the lobe asks, and it is wider than its parts
+            count = FEW_AREA_SAMPLES
     elif size < TINY and not is_area and not sets:
         count, widening = 1, HALF * size
     alpha = max(max(alpha, widening), LEAST_ALPHA)
@@ -260,7 +263,7 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
     diffuse, glossy, carried = ZERO, ZERO, ZERO
     for i in range(count):
         x, y, share = ZERO, ZERO, ONE
-        if count == AREA_SAMPLES:
+        if count >= FEW_AREA_SAMPLES:
             u, v = r2_sequence(i, shift_u, shift_v)
             x, y, share = lamp_place(lamp, p, u, v)
         elif count == 4:

@@ -42,6 +42,11 @@ POSITION_ERROR = f32(2e-6)  # of the distance to the viewer and of the coordinat
 OFFSET = f32(1.5e-6)        # of the coordinates: rounding of a ray's start on its triangle
 SKIP = f32(1e-6)            # of the largest coordinate: what a shadow ray does not look at before its start
 SPAN = f32(1e-4)            # of the viewer's distance: how far from its position a pixel's triangle is looked for
+NEGLIGIBLE_SHARE = f32(3e-4)    # of what other lamps could give: a lamp that cannot give more is left out, see `ROUGH`
+ROUGH = f32(0.35)           # roughness from which no highlight outshines what a lamp gives to the diffuse lobe
+WITHOUT_BOUND = f32(1e30)
+FAINT_SHARE = f32(5e-3)     # of what all lamps could give: for less the map's own four texels tell the shadow, not rays
+MINOR_SHARE = f32(0.1)      # of what all lamps could give: for less one ray tells the shadow, with noise in half shadows
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -80,35 +85,37 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
     pilots = 0 if params.exact_shadows else PILOTS
     far_m = _length_out_of(bvh)
     views = {view.light_index: view for view in frame.views}
-    state = np.zeros(count, np.uint8)
-    bare = _Bare(np.empty(count, np.float32), np.empty(count, np.float32))
     starts = _Starts(np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.zeros(count, np.uint8))
-    asked: dict[str, int] = {}
+    sources = [_source(index, light, views.get(index), frame, has_rays, params, far_m, seed)
+               for index, light in enumerate(frame.lights)
+               if np.any(light.power > 0) and (light.diffuse_factor > 0 or light.glossy_factor > 0)]
+    asked = {source.name: 0 for source in sources}
     tiles = max(1, -(-len(surface) // TILE_PIXELS))
-    for index, light in enumerate(frame.lights):
-        if not np.any(light.power > 0) or (light.diffuse_factor <= 0 and light.glossy_factor <= 0):
-            continue
-        test = _test_of(light, index in views, has_rays, params)
-        shadow_map = pack_shadow_map(views.get(index) if test == MAP else None, light, frame.geometry)
-        colours = np.concatenate([light.power * light.diffuse_factor, light.power * light.glossy_factor,
-                                  [LUMINANCE @ light.power]]).astype(np.float32)
-        common = (pack_lamp(light, far_m), colours, pixels, seed * 7919 + index)
-        asked[light.name] = 0
-        for tile in range(tiles):
-            share = (index + tile / tiles) / len(frame.lights)
-            context.checkpoint("Direct Light", share)
-            part = surface[tile * len(surface) // tiles:(tile + 1) * len(surface) // tiles]
-            _light_pixels(part, *common, shadow_map, test, bare, out, state)
-            left = part[state[part] == shadow.ASK]
-            asked[light.name] += len(left)
-            if has_rays:
-                step = max(TILE_RAYS // params.soft_shadow_rays, 1)
-                for first in range(0, len(left), step):
-                    context.checkpoint("Direct Light", share)
-                    _trace_pixels(left[first:first + step], *common, shadow_map, bare, starts, bvh, pilots,
-                                  params.soft_shadow_rays, out)
-            elif len(left):
-                _ask_map(left, colours, pixels, shadow_map, bare, out)
+    for tile in range(tiles):
+        part = surface[tile * len(surface) // tiles:(tile + 1) * len(surface) // tiles]
+        middle = pixels.position[part[len(part) // 2]] if len(part) else np.zeros(3)
+        found = []
+        for number, source in enumerate(sorted(sources, key=lambda source: -source.bound_at(middle))):
+            context.checkpoint("Direct Light", (tile + 0.3 * number / len(sources)) / tiles)
+            bare, state = _Bare(*np.zeros((2, len(part)), np.float32)), np.zeros(len(part), np.uint8)
+            _light_pixels(part, source.lamp, source.colours, pixels, source.salt, source.shadow_map, source.test,
+                          f32(source.strength), bare, out, state)
+            found.append((source, bare, np.flatnonzero(state == shadow.ASK)))
+        for number, (source, bare, left) in enumerate(found):
+            share = (tile + 0.3 + 0.7 * number / len(sources)) / tiles
+            if source.test == MAP and has_rays:
+                is_faint = source.colours[6] * bare.diffuse[left] < FAINT_SHARE * out.could[part[left]]
+                _ask_map(part, left[is_faint], source.colours, pixels, source.shadow_map, bare, out)
+                left = left[~is_faint]
+            asked[source.name] += len(left)
+            if not has_rays:
+                _ask_map(part, left, source.colours, pixels, source.shadow_map, bare, out)
+                continue
+            step = max(TILE_RAYS // params.soft_shadow_rays, 1)
+            for first in range(0, len(left), step):
+                context.checkpoint("Direct Light", share)
+                _trace_pixels(part, left[first:first + step], source.lamp, source.colours, pixels, source.salt,
+                              source.shadow_map, bare, starts, bvh, pilots, params.soft_shadow_rays, out)
     with np.errstate(divide="ignore", invalid="ignore"):
         visibility = np.where(out.could > 0, np.clip(out.does / out.could, 0, 1), 1).astype(np.float32)
     return PassResult({Transport.DIRECT_DIFFUSE: out.diffuse.reshape(height, width, 3),
@@ -133,8 +140,44 @@ class _Pixels(NamedTuple):
     albedos: np.ndarray
 
 
+class _Source(NamedTuple):
+    """A lamp of the frame, ready for the kernels.
+
+    colours: power for diffuse and for glossy lobes, and luminance of the power; test: which shadow test its pixels take;
+    strength: what irradiance times squared distance cannot exceed, in luminance; infinite where nothing bounds it.
+    """
+
+    name: str
+    lamp: Lamp
+    colours: np.ndarray
+    shadow_map: shadow.ShadowMap
+    test: int
+    strength: float
+    salt: int
+
+    def bound_at(self, place_ws: np.ndarray) -> float:
+        """About the most irradiance that it gives there."""
+        if not math.isfinite(self.strength):
+            return self.strength
+        return self.strength / max(float(((self.lamp.places[lamps.POSITION] - place_ws) ** 2).sum()), 1e-12)
+
+
+def _source(index: int, light: Light, view: LightView | None, frame: Frame, has_rays: bool, params: DirectParams,
+            far_m: float, seed: int) -> _Source:
+    test = _test_of(light, view is not None, has_rays, params)
+    colours = np.concatenate([light.power * light.diffuse_factor, light.power * light.glossy_factor,
+                              [LUMINANCE @ light.power]]).astype(np.float32)
+    lamp, strength = pack_lamp(light, far_m), float(colours[6])
+    if light.kind is LightKind.SUN or lamp.spread_gain > 0:
+        strength = math.inf
+    elif light.kind.is_area:
+        strength *= light.size_x_m * light.size_y_m
+    return _Source(light.name, lamp, colours, pack_shadow_map(view if test == MAP else None, light, frame.geometry), test,
+                   strength, seed * 7919 + index)
+
+
 class _Bare(NamedTuple):
-    """What one lamp would send with nothing in between, (N,) each: irradiance, and glossy radiance before its colour."""
+    """What one lamp would send with nothing in between, (K,) each: irradiance, and glossy radiance before its colour."""
 
     diffuse: np.ndarray
     glossy: np.ndarray
@@ -258,16 +301,20 @@ def _add(q, diffuse, glossy, colours, pixels, out):
 
 
 @device_jit
-def _light_at_pixel(q, lamp, colours, pixels, salt, shadow_map, test, bare, out):
+def _light_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, test, strength, bare, out):
     """Find the unshadowed light and add it if nothing stands between; returns what the map says: LIT, DARK or ASK."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
+    if strength < WITHOUT_BOUND and pixels.roughness[q] >= ROUGH:
+        beyond = length(sub(load(lamp.places, lamps.POSITION), p)) - f32(1.5) * max(lamp.half_x, lamp.half_y)
+        if beyond > ZERO and strength < NEGLIGIBLE_SHARE * out.could[q] * beyond * beyond:
+            return shadow.DARK
     viewer, distance = _viewer(pixels, p)
     is_glossy, alpha, f0, gain = _lobe_of(q, pixels, n, viewer)
     diffuse, glossy = lamps.unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, uniform(q, 0, salt), uniform(q, 1, salt))
     glossy *= gain
     if diffuse <= ZERO and glossy <= ZERO:
         return shadow.DARK
-    bare.diffuse[q], bare.glossy[q] = diffuse, glossy
+    bare.diffuse[k], bare.glossy[k] = diffuse, glossy
     out.could[q] += colours[6] * diffuse
     answer = shadow.LIT if test == NONE else shadow.ASK
     if test == MAP:
@@ -278,10 +325,10 @@ def _light_at_pixel(q, lamp, colours, pixels, salt, shadow_map, test, bare, out)
 
 
 @pixel_jit
-def _light_pixels(index, lamp, colours, pixels, salt, shadow_map, test, bare, out, state):
-    """`_light_at_pixel` for the pixels of `index`; its answers into `state`."""
+def _light_pixels(index, lamp, colours, pixels, salt, shadow_map, test, strength, bare, out, state):
+    """`_light_at_pixel` for the pixels of `index` (K,); its answers into `state` (K,)."""
     for k in prange(len(index)):
-        state[index[k]] = _light_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, test, bare, out)
+        state[k] = _light_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, test, strength, bare, out)
 
 
 @device_jit
@@ -349,7 +396,7 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
 
 
 @device_jit
-def _trace_at_pixel(q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, out):
+def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, out):
     p, n = load(pixels.position, q), load(pixels.normal, q)
     viewer, distance = _viewer(pixels, p)
     error = _error_of(pixels, p, distance)
@@ -360,33 +407,42 @@ def _trace_at_pixel(q, lamp, colours, pixels, salt, shadow_map, bare, starts, bv
         starts.known[q] = 1
     start, side = load(starts.place, q), load(starts.side, q)
     share, glossy_share = ONE, ONE
-    answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO else shadow.ASK
-    if answer == shadow.ASK:
+    is_minor = pilots > 0 and colours[6] * bare.diffuse[k] < MINOR_SHARE * out.could[q]
+    answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO and not is_minor else shadow.ASK
+    if is_minor:
+        x, y, _ = lamps.lamp_place(lamp, p, uniform(q, 2, salt), uniform(q, 3, salt))
+        d, _ = lamps.lamp_at(lamp, p, x, y)
+        share = _seen(bvh, stack, start, side, p, d)
+        glossy_share = share
+    elif answer == shadow.ASK:
         _, alpha, f0, _ = _lobe_of(q, pixels, n, viewer)
         share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
                                            rays, uniform(q, 2, salt), uniform(q, 3, salt))
     if answer != shadow.DARK:
-        _add(q, bare.diffuse[q] * share, bare.glossy[q] * glossy_share, colours, pixels, out)
+        _add(q, bare.diffuse[k] * share, bare.glossy[k] * glossy_share, colours, pixels, out)
 
 
 @pixel_jit
-def _trace_pixels(index, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, out):
-    """Add the light that a second look at the map, and rays, find at the pixels of `index`."""
-    blocks = (len(index) + BLOCK - 1) // BLOCK
+def _trace_pixels(index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, out):
+    """Add the light that a second look at the map, and rays, find at the pixels `left` (M,) of `index` (K,)."""
+    blocks = (len(left) + BLOCK - 1) // BLOCK
     for block in prange(blocks):
         stack = np.empty(STACK, np.int32)
-        for k in range(block * BLOCK, min((block + 1) * BLOCK, len(index))):
-            _trace_at_pixel(index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, out)
+        for m in range(block * BLOCK, min((block + 1) * BLOCK, len(left))):
+            k = left[m]
+            _trace_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays,
+                            out)
 
 
 @device_jit
-def _ask_map(index, colours, pixels, shadow_map, bare, out):
-    """Add the light of the pixels of `index` by the map's own four texels: what is left where no rays can be traced."""
-    for q in index:
+def _ask_map(index, left, colours, pixels, shadow_map, bare, out):
+    """Add the light of the pixels `left` (M,) of `index` (K,) by the map's own four texels."""
+    for k in left:
+        q = index[k]
         p = load(pixels.position, q)
         _, distance = _viewer(pixels, p)
         share = shadow.map_visibility(shadow_map, p, _error_of(pixels, p, distance))
-        _add(q, bare.diffuse[q] * share, bare.glossy[q] * share, colours, pixels, out)
+        _add(q, bare.diffuse[k] * share, bare.glossy[k] * share, colours, pixels, out)
 
 
 TECHNIQUE = Technique("direct", "Direct Light", DirectParams, compute_direct,

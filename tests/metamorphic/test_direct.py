@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtgi_addon.core.frame import Frame, LightKind
-from rtgi_addon.core.synthetic import make_room_frame
+from rtgi_addon.core.synthetic import cast_view, make_room_frame
 from rtgi_addon.core.techniques import DirectParams
 from rtgi_addon.errors import Cancelled
 from rtgi_addon.kernels.jit import kernel_session
@@ -44,6 +44,24 @@ def test_lights_add_up():
     both = make_room_frame(24, 16, kinds, 0.0, has_ceiling=True)
     parts = [make_room_frame(24, 16, (kind,), 0.0, has_ceiling=True) for kind in kinds]
     np.testing.assert_allclose(diffuse(both), sum(diffuse(p) for p in parts), rtol=FLOAT32)
+
+
+def test_many_lamps_are_as_exact_as_many_rays_make_them():
+    # sixteen lamps a metre apart: each gives a pixel some percent, so that one ray or the map tells most shadows
+    frame = make_room_frame(48, 36, (LightKind.POINT,) * 16, 0.03, has_ceiling=True)
+    lights, views = [], []
+    for k, (light, view) in enumerate(zip(frame.lights, frame.views, strict=True)):
+        place = np.eye(4)
+        place[:3, 3] = (k % 4 - 1.5) * 0.9, (k // 4 - 1.5) * 0.8, 2.2
+        moved = dataclasses.replace(light, name=f"lamp {k}", world_from_light=place)
+        camera = dataclasses.replace(view.camera, world_from_view=place)
+        lights.append(moved)
+        views.append(dataclasses.replace(view, camera=camera, gbuffer=cast_view(camera, frame.geometry)))
+    frame = dataclasses.replace(frame, lights=tuple(lights), views=tuple(views))
+    got, wanted = diffuse(frame), diffuse(frame, exact_shadows=True, soft_shadow_rays=256)
+    # one ray's noise stands in half shadows, some percent of the pixels, and there it is some percent of the light
+    assert np.abs(got - wanted).sum() < 0.01 * wanted.sum()
+    assert abs(got.sum() / wanted.sum() - 1) < 0.003
 
 
 @pytest.mark.parametrize("factor", ["diffuse_factor", "glossy_factor"])
