@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.settings import PRESETS
+from ..core.techniques import TECHNIQUE_PARAMS
 from ..errors import InputError, RtgiError
 from ..imageio import replacing
 from ..pipeline import peak_memory_mb, versions
@@ -32,10 +33,8 @@ SIZE = (960, 540)
 REPEATS = 3
 SAMPLES = 256
 MAIN_PRESET = "BALANCED"
-# stages of a frame as the table groups them; whatever is in none of them is "rest"
-STAGE_GROUPS = {
-    "views": ("camera view", "fit light views", "light views"), "triangles": ("triangles", "bvh"), "direct": ("direct",),
-    "world": ("world",), "rsm": ("rsm",)}
+# stages of a frame as the table groups them, then every technique by its name; whatever is in none of them is "rest"
+STAGE_GROUPS = {"views": ("camera view", "fit light views", "light views"), "triangles": ("triangles", "bvh")}
 
 
 def processor() -> str:
@@ -235,13 +234,15 @@ def _main(record: dict[str, Any]) -> dict[str, Any]:
 
 def _times(records: Sequence[dict[str, Any]]) -> str:
     peers = list(records[0]["cycles"])
+    ran = {stage for record in records for stage in _main(record)["stages_ms"]}
+    groups = {**STAGE_GROUPS, **{name: (name,) for name in TECHNIQUE_PARAMS if name in ran}}
     head = ["scene", "RTGI", *(f"Cycles {n}" for n in peers), *(["of Cycles " + peers[0]] if peers else []),
-            *(f"{group} (ms)" for group in STAGE_GROUPS), "rest (ms)", "peak memory", "first frame", "compiling in it"]
+            *(f"{group} (ms)" for group in groups), "rest (ms)", "peak memory", "first frame", "compiling in it"]
     rows = []
     for record in records:
         main = _main(record)
         stages = main["stages_ms"]
-        grouped = [sum(stages.get(name, 0.0) for name in names) for names in STAGE_GROUPS.values()]
+        grouped = [sum(stages.get(name, 0.0) for name in names) for names in groups.values()]
         cycles = [record["cycles"][n]["seconds"] for n in peers]
         rows.append([record["scene"], f"{main['seconds']:.2f} s", *(f"{s:.2f} s" for s in cycles),
                      *([f"{main['seconds'] / cycles[0]:.2f}"] if cycles else []),
