@@ -14,6 +14,7 @@ import numpy as np
 
 from .composite import combine, merge
 from .core.frame import Frame
+from .core.mending import mend_frame
 from .core.settings import Settings
 from .kernels.embree import embree_version
 from .kernels.jit import compiled_s, kernel_session, threading_layer
@@ -107,6 +108,7 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
     """
     settings.validate()
     context, stages = context or Context(), stages or Stages()
+    frame = mend_frame(frame)
     results = []
     with kernel_session(settings.threads):
         for number, name in enumerate(plan.techniques):
