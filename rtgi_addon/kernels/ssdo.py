@@ -14,7 +14,7 @@ import numpy as np
 from .fastmath import HALF_PI, PI, fast_atan2, fast_sin, fraction
 from .jit import device_jit, pixel_jit, prange
 from .octahedron import table_at
-from .sampling import r2_sequence, uniform
+from .sampling import near_weight, r2_sequence, uniform
 from .screen import TINY, dither, is_inside, point_vs, to_screen, to_viewer_vs, turn_to_view, turn_to_world
 from .shadow import ORTHOGRAPHIC
 from .slices import (
@@ -70,13 +70,6 @@ TAPS_A_STEP = 3             # taps in all are this many times the steps, whateve
 _ROW_COUNT = 69
 # of the scratch array of integers: pixels of the lane itself, of its tap and of the taps whose light is taken
 _SELF, _PIXEL, _PIXEL_LAST, _LIGHT, _LIGHT_LAST = (LANES * k for k in range(5))
-
-
-@device_jit
-def near_weight(distance2, fade):
-    """1 for emitters nearer than half of a distance, 0 beyond it, smooth between; `fade` is 1 / distance^2, 0 gives 1."""
-    z = min(max((distance2 * fade - f32(0.25)) * f32(4 / 3), ZERO), ONE)
-    return ONE - z * z * (f32(3) - TWO * z)
 
 
 @device_jit

@@ -18,6 +18,8 @@ from ..kernels.vec3 import f32
 PROJECTION_CODES = {Projection.PERSPECTIVE: shadow.PERSPECTIVE, Projection.ORTHOGRAPHIC: shadow.ORTHOGRAPHIC,
                     Projection.EQUIRECTANGULAR: shadow.EQUIRECTANGULAR}
 TILE_PX = 8                 # edge of a tile: a cache line of float32 is 16 wide, and skies end at curves
+SHOWN_PX = 1.0              # height over a pixel's tangent plane, in its footprints, at which a point is another surface
+SHOWN_COSINE = 0.5          # of the angle between two normals of one surface: bumps and edges of a pixel, not its back
 NEAR_SHARE = 1e-5           # of the scene's size: what rays of the overscan pass over before the eye, like a near clip
 MIRROR_ROUGHNESS = 0.1      # below it the GGX lobe is narrower than 2 degrees: one ray a pixel is enough
 
@@ -36,6 +38,19 @@ def screen_of(frame: Frame) -> Screen:
     camera, g = frame.camera, frame.gbuffer
     return build_screen(PROJECTION_CODES[camera.projection], camera.view_from_world, camera.left, camera.top,
                         *camera.pixel_size, g.depth, g.position_ws, g.normal_ws)
+
+
+def is_shown(frame: Frame, position_ws: np.ndarray, normal_ws: np.ndarray) -> np.ndarray:
+    """(N,) bool: points (N, 3) that lie on what the camera sees at their pixel, and face it as that surface does."""
+    g = frame.gbuffer
+    column, row, _ = frame.camera.project(position_ws.astype(np.float64))
+    is_in = (column >= 0) & (column < g.shape[1]) & (row >= 0) & (row < g.shape[0])    # False for NaN, behind the eye
+    i, j = np.where(is_in, row, 0).astype(np.int64), np.where(is_in, column, 0).astype(np.int64)
+    depth, normal = g.depth[i, j], g.normal_ws[i, j]
+    step_x, step_y = frame.camera.pixel_size
+    footprint = max(step_x, step_y) * (1 if frame.camera.projection is Projection.ORTHOGRAPHIC else depth)
+    off = np.abs(((position_ws - g.position_ws[i, j]) * normal).sum(-1))
+    return is_in & np.isfinite(depth) & (off < SHOWN_PX * footprint) & ((normal * normal_ws).sum(-1) > SHOWN_COSINE)
 
 
 def coarse_screen(screen: Screen, step: int) -> Screen:

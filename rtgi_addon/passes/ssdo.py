@@ -85,11 +85,23 @@ def tap_table(frame: Frame) -> np.ndarray:
     return table.reshape(-1, 4)
 
 
-def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarray, sky: np.ndarray, radius: float,
-              fade: float, step: int, seed: int, context: Context, text: str) -> tuple[np.ndarray, np.ndarray]:
-    """Planes at every pixel, gathered at every `step`-th, smoothed and spread: the bounce (3, H, W) and the world's light.
+def radius_of(frame: Frame, params: SsdoParams) -> float:
+    """m: how far taps go."""
+    return params.radius_m or RADIUS_SHARE * frame.scale_m
 
-    That has one plane, pi times the visibility, without a sky; with one it has six, what arrives and what would arrive.
+
+def _shares(planes: np.ndarray) -> np.ndarray:
+    """Visibility, and with a sky the share of each colour of its light that arrives, from a kernel's planes of the world."""
+    if len(planes) == 1:
+        return planes * f32(1 / np.pi)
+    visible, whole = planes[:3], np.maximum(planes[3:], f32(1e-20))
+    return np.concatenate([np.minimum(visible.sum(0) / whole.sum(0), f32(1))[None], np.minimum(visible / whole, f32(1))])
+
+
+def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarray | None, sky: np.ndarray, radius: float,
+              fade: float, step: int, seed: int, context: Context, text: str) -> tuple[np.ndarray, np.ndarray]:
+    """At every pixel, gathered at every `step`-th, smoothed and spread: the bounce (3, H, W), and of the world's light
+    `_shares` (1 or 4, H, W). Without `radiance` the bounce is empty.
     """
     mask = frame.gbuffer.mask
     if not mask[step // 2::step, step // 2::step].any():
@@ -98,40 +110,45 @@ def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarra
     asked = np.ascontiguousarray(mask[at])
     slots = np.flatnonzero(asked)
     ids = np.arange(mask.size).reshape(mask.shape)[at].ravel()[slots]
-    values = np.zeros((9, asked.size), np.float32)
+    values, source = np.zeros((9, asked.size), np.float32), radiance
+    if source is None:
+        source = np.zeros((mask.size, 3), np.float32)
     for begin in range(0, len(ids), TILE_PIXELS):
         context.checkpoint(text, begin / len(ids))
         tile = slice(begin, begin + TILE_PIXELS)
         if params.form == "SECTORS":
-            gather_sectors(taps.screen, taps.table, ids[tile], slots[tile], radiance, sky, f32(radius),
+            gather_sectors(taps.screen, taps.table, ids[tile], slots[tile], source, sky, f32(radius),
                            f32(params.thickness * radius), f32(fade), params.slices, params.steps, seed, values)
         else:
-            gather_samples(taps.screen, ids[tile], slots[tile], radiance, sky, f32(radius), f32(fade), params.samples, seed,
+            gather_samples(taps.screen, ids[tile], slots[tile], source, sky, f32(radius), f32(fade), params.samples, seed,
                            values)
     context.checkpoint("Filter", 0.9)
-    planes = values.reshape(9, *asked.shape)[:9 if len(sky) else 4]
+    planes = values.reshape(9, *asked.shape)[0 if radiance is not None else 3:9 if len(sky) else 4]
     coarse = coarse_screen(taps.screen, step) if step > 1 else taps.screen
     if params.blur > 0:
         planes = smooth_planes(coarse, planes, params.blur, f32(BLUR_TOLERANCE_PX))
+    bounce = 3 if radiance is not None else 0
+    planes = np.concatenate([planes[:bounce], _shares(planes[bounce:])])
     if step > 1:
         planes = spread_planes(taps.screen, coarse, planes, step, f32(SPREAD_TOLERANCE_PX))
-    return planes[:3], planes[3:]
+    return planes[:bounce], planes[bounce:]
 
 
-def _world_light(frame: Frame, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(irradiance (H, W, 3) W/m2, visibility (H, W)) float32 from planes (1, H, W) or (6, H, W), see `_gathered`.
+def _world_light(frame: Frame, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(irradiance (H, W, 3) W/m2, visibility (H, W)) float32 from `_shares`.
 
     With a map, light is what an open surface gets times the share of the directions' light that got through, colour by
     colour: so a plane under any sky has no noise.
     """
     g, mask = frame.gbuffer, frame.gbuffer.mask
-    if len(planes) == 1:
-        visibility = np.where(mask, planes[0] * f32(1 / np.pi), f32(1))
+    visibility = np.where(mask, shares[0], f32(1))
+    if len(shares) == 1:
         return (visibility * mask)[..., None] * np.float32(np.pi) * frame.world.radiance[0, 0], visibility
-    visible, whole = planes[:3], np.maximum(planes[3:], f32(1e-20))
-    share = np.moveaxis(np.minimum(visible / whole, f32(1)), 0, -1)
-    visibility = np.where(mask, np.minimum(visible.sum(0) / whole.sum(0), f32(1)), f32(1))
-    return look_up(irradiance_table(frame.world), g.normal_ws, mask) * share, visibility
+    return look_up(irradiance_table(frame.world), g.normal_ws, mask) * np.moveaxis(shares[1:], 0, -1), visibility
+
+
+def _near_m(frame: Frame, params: SsdoParams) -> float:
+    return radius_of(frame, params) if params.hand_over else 0.0
 
 
 def compute_ssdo(frame: Frame, params: SsdoParams, context: Context, seed: int = 0) -> PassResult:
@@ -169,22 +186,24 @@ def compute_ssdo(frame: Frame, params: SsdoParams, context: Context, seed: int =
         return PassResult({Transport.WORLD_DIFFUSE: black, Transport.NEAR_DIFFUSE: black.copy()},
                           np.ones(g.shape, np.float32))
     taps = _Taps(screen_of(frame), tap_table(frame))
-    radius, sky = params.radius_m or RADIUS_SHARE * frame.scale_m, radiance_table(frame.world)
-    light = context.light.get(Transport.DIRECT_DIFFUSE, np.zeros_like(g.albedo))
-    if not frame.world.is_black:
-        black = np.zeros((g.depth.size, 3), np.float32)
-        _, planes = _gathered(frame, taps, params, black, sky, radius, 0.0, FIRST_LATTICE_PX, seed + 1, context,
+    radius, sky = radius_of(frame, params), radiance_table(frame.world)
+    is_shared = context.near_left_m > 0
+    light = np.zeros_like(g.albedo)
+    if is_shared or Transport.BOUNCE_DIFFUSE not in context.light:      # whoever supplies all of the bounce has the near one
+        light = context.light.get(Transport.DIRECT_DIFFUSE, light)
+    if not frame.world.is_black:                                        # nobody else has the bounce of the world's light
+        _, shares = _gathered(frame, taps, params, None, sky, radius, 0.0, FIRST_LATTICE_PX, seed + 1, context,
                               "World light of emitters")
-        light = light + _world_light(frame, planes)[0]
+        light = light + _world_light(frame, shares)[0]
     radiance = np.ascontiguousarray((light * g.albedo).reshape(-1, 3) * f32(1 / np.pi), np.float32)
-    near, planes = _gathered(frame, taps, params, radiance, sky, radius, 0.0, params.lattice_px, seed, context,
+    fade = 1 / context.near_left_m**2 if is_shared else 0.0
+    near, shares = _gathered(frame, taps, params, radiance, sky, radius, fade, params.lattice_px, seed, context,
                              "Directional occlusion")
-    world, visibility = _world_light(frame, planes)
-    supplied = {Transport.WORLD_DIFFUSE: world}
-    if Transport.BOUNCE_DIFFUSE not in context.light:            # whoever supplies the whole bounce has the near one in it
-        supplied[Transport.NEAR_DIFFUSE] = np.ascontiguousarray(np.moveaxis(near * g.mask, 0, -1))
-    return PassResult(supplied, visibility, {"radius_m": float(radius)})
+    world, visibility = _world_light(frame, shares)
+    near = np.ascontiguousarray(np.moveaxis(near * g.mask, 0, -1))
+    return PassResult({Transport.WORLD_DIFFUSE: world, Transport.NEAR_DIFFUSE: near}, visibility,
+                      {"radius_m": float(radius), "shares_bounce": is_shared})
 
 
 TECHNIQUE = Technique("ssdo", "Directional Occlusion (SSDO)", SsdoParams, compute_ssdo,
-                      frozenset({Transport.WORLD_DIFFUSE, Transport.NEAR_DIFFUSE}))
+                      frozenset({Transport.WORLD_DIFFUSE, Transport.NEAR_DIFFUSE}), near_m=_near_m)

@@ -101,11 +101,12 @@ def test_energy_of_the_bounce_is_below_that_of_a_sphere_of_the_brightest(room, l
     assert light(black_world(room), lamp_light, blur=0)[NEAR].max() <= brightest * (1 + 1e-5)
 
 
-def test_no_near_bounce_is_added_to_a_bounce_that_is_whole(room, lamp_light):
+def test_beside_a_bounce_that_is_whole_only_the_worlds_light_bounces(room, lamp_light):
     context = Context()
     context.light = {Transport.DIRECT_DIFFUSE: lamp_light, Transport.BOUNCE_DIFFUSE: lamp_light}
-    result = compute_ssdo(room, SsdoParams(radius_m=2.0), context, 0)
-    assert set(result.light) == {WORLD}
+    got = compute_ssdo(room, SsdoParams(radius_m=2.0, samples=16), context, 3).light
+    assert all(np.array_equal(got[t], light(room)[t]) for t in (NEAR, WORLD))
+    assert not compute_ssdo(black_world(room), SsdoParams(radius_m=2.0), context, 3).light[NEAR].any()
 
 
 # ---- geometry ----
