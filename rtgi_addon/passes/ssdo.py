@@ -70,11 +70,14 @@ def radiance_table(world: World) -> np.ndarray:
         return NO_SKY
     radiance = shrink_map(world.radiance, SKY_MAP_SIZE)
     direction, solid_angle = texel_directions(*radiance.shape[:2])
-    nodes = node_directions(SKY_NODES).reshape(-1, 3)
-    angle = np.arccos(np.clip(nodes @ direction.reshape(-1, 3).T, -1, 1))
-    weight = np.maximum(1 - angle / (np.pi / (SKY_NODES - 1)), 0) * solid_angle.ravel()
-    weight /= np.maximum(weight.sum(1, keepdims=True), 1e-30)
-    return np.ascontiguousarray((weight @ radiance.reshape(-1, 3)).reshape(SKY_NODES, SKY_NODES, 3), np.float32)
+    nodes = node_directions(SKY_NODES).reshape(-1, 3).astype(np.float32)
+    weight = nodes @ direction.reshape(-1, 3).T.astype(np.float32)
+    # the chord stands for the angle: they differ by 0.1 % where the tent ends
+    np.sqrt(np.maximum(2 - 2 * weight, 0), out=weight)
+    np.maximum(1 - weight * np.float32((SKY_NODES - 1) / np.pi), 0, out=weight)
+    weight *= solid_angle.ravel().astype(np.float32)
+    weight /= np.maximum(weight.sum(1, keepdims=True), np.float32(1e-30))
+    return np.ascontiguousarray((weight @ radiance.reshape(-1, 3).astype(np.float32)).reshape(SKY_NODES, SKY_NODES, 3))
 
 
 def tap_table(frame: Frame) -> np.ndarray:
@@ -91,17 +94,16 @@ def radius_of(frame: Frame, params: SsdoParams) -> float:
 
 
 def _shares(planes: np.ndarray) -> np.ndarray:
-    """Visibility, and with a sky the share of each colour of its light that arrives, from a kernel's planes of the world."""
+    """Share of the world's light that arrives, one plane, or one for each colour of a map, from a kernel's planes."""
     if len(planes) == 1:
         return planes * f32(1 / np.pi)
-    visible, whole = planes[:3], np.maximum(planes[3:], f32(1e-20))
-    return np.concatenate([np.minimum(visible.sum(0) / whole.sum(0), f32(1))[None], np.minimum(visible / whole, f32(1))])
+    return np.minimum(planes[:3] / np.maximum(planes[3:], f32(1e-20)), f32(1))
 
 
 def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarray | None, sky: np.ndarray, radius: float,
               fade: float, step: int, seed: int, context: Context, text: str) -> tuple[np.ndarray, np.ndarray]:
     """At every pixel, gathered at every `step`-th, smoothed and spread: the bounce (3, H, W), and of the world's light
-    `_shares` (1 or 4, H, W). Without `radiance` the bounce is empty.
+    `_shares` (1 or 3, H, W). Without `radiance` the bounce is empty.
     """
     mask = frame.gbuffer.mask
     if not mask[step // 2::step, step // 2::step].any():
@@ -134,17 +136,29 @@ def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarra
     return planes[:bounce], planes[bounce:]
 
 
-def _world_light(frame: Frame, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(irradiance (H, W, 3) W/m2, visibility (H, W)) float32 from `_shares`.
+def _world_light(frame: Frame, shares: np.ndarray, opened: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(irradiance (H, W, 3) W/m2, visibility (H, W)) float32 from `_shares` and what open surfaces get (H, W, 3).
 
-    With a map, light is what an open surface gets times the share of the directions' light that got through, colour by
-    colour: so a plane under any sky has no noise.
+    Light is what an open surface gets times the share of the directions' light that got through, colour by colour: so a
+    plane under any sky has no noise.
     """
-    g, mask = frame.gbuffer, frame.gbuffer.mask
-    visibility = np.where(mask, shares[0], f32(1))
+    mask = frame.gbuffer.mask
+    light = np.multiply(opened, np.moveaxis(shares, 0, -1)) if not frame.world.is_black else opened
     if len(shares) == 1:
-        return (visibility * mask)[..., None] * np.float32(np.pi) * frame.world.radiance[0, 0], visibility
-    return look_up(irradiance_table(frame.world), g.normal_ws, mask) * np.moveaxis(shares[1:], 0, -1), visibility
+        return light, np.where(mask, shares[0], f32(1))
+    brightness = opened.sum(-1)
+    visibility = np.divide(light.sum(-1), brightness, out=np.ones(mask.shape, np.float32), where=brightness > 0)
+    return light, np.minimum(visibility, f32(1))
+
+
+def _open_light(frame: Frame) -> np.ndarray:
+    """(H, W, 3) float32 W/m2 that the surfaces in view would get from the world with nothing in the way."""
+    g, world = frame.gbuffer, frame.world
+    if world.is_black:
+        return np.zeros_like(g.albedo)
+    if world.is_constant:
+        return np.where(g.mask[..., None], (np.pi * world.radiance[0, 0]).astype(np.float32), f32(0))
+    return look_up(irradiance_table(world), g.normal_ws, g.mask)
 
 
 def _near_m(frame: Frame, params: SsdoParams) -> float:
@@ -187,6 +201,7 @@ def compute_ssdo(frame: Frame, params: SsdoParams, context: Context, seed: int =
                           np.ones(g.shape, np.float32))
     taps = _Taps(screen_of(frame), tap_table(frame))
     radius, sky = radius_of(frame, params), radiance_table(frame.world)
+    opened = _open_light(frame)
     is_shared = context.near_left_m > 0
     light = np.zeros_like(g.albedo)
     if is_shared or Transport.BOUNCE_DIFFUSE not in context.light:      # whoever supplies all of the bounce has the near one
@@ -194,14 +209,16 @@ def compute_ssdo(frame: Frame, params: SsdoParams, context: Context, seed: int =
     if not frame.world.is_black:                                        # nobody else has the bounce of the world's light
         _, shares = _gathered(frame, taps, params, None, sky, radius, 0.0, FIRST_LATTICE_PX, seed + 1, context,
                               "World light of emitters")
-        light = light + _world_light(frame, shares)[0]
-    radiance = np.ascontiguousarray((light * g.albedo).reshape(-1, 3) * f32(1 / np.pi), np.float32)
+        light = light + _world_light(frame, shares, opened)[0]
+    radiance = (light * g.albedo).astype(np.float32, copy=False)
+    radiance *= f32(1 / np.pi)
     fade = 1 / context.near_left_m**2 if is_shared else 0.0
-    near, shares = _gathered(frame, taps, params, radiance, sky, radius, fade, params.lattice_px, seed, context,
-                             "Directional occlusion")
-    world, visibility = _world_light(frame, shares)
-    near = np.ascontiguousarray(np.moveaxis(near * g.mask, 0, -1))
-    return PassResult({Transport.WORLD_DIFFUSE: world, Transport.NEAR_DIFFUSE: near}, visibility,
+    near, shares = _gathered(frame, taps, params, radiance.reshape(-1, 3), sky, radius, fade, params.lattice_px, seed,
+                             context, "Directional occlusion")
+    world, visibility = _world_light(frame, shares, opened)
+    bounce = np.empty_like(radiance)
+    np.multiply(np.moveaxis(near, 0, -1), g.mask[..., None], out=bounce)
+    return PassResult({Transport.WORLD_DIFFUSE: world, Transport.NEAR_DIFFUSE: bounce}, visibility,
                       {"radius_m": float(radius), "shares_bounce": is_shared})
 
 
