@@ -174,15 +174,15 @@ def compute_ssdo(frame: Frame, params: SsdoParams, context: Context, seed: int =
         With a world; triangles are not asked.
     params : SsdoParams
     context : Context
-        `light` holds the direct light of lamps, which the bounce is made of.
+        `light` holds the direct light of lamps, which the bounce is made of. Where another technique supplies the whole
+        bounce of lamps (`light`) or of the world (`to_come`), that light does not bounce here.
     seed : int
         Of slices, taps and samples.
 
     Returns
     -------
     PassResult
-        WORLD_DIFFUSE and, unless an earlier technique supplies the bounce, NEAR_DIFFUSE: (H, W, 3) float32 W/m2; visibility
-        (H, W): share of the world's light that arrives.
+        WORLD_DIFFUSE and NEAR_DIFFUSE: (H, W, 3) float32 W/m2; visibility (H, W): share of the world's light that arrives.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def compute_ssdo(frame: Frame, params: SsdoParams, context: Context, seed: int =
     light = np.zeros_like(g.albedo)
     if is_shared or Transport.BOUNCE_DIFFUSE not in context.light:      # whoever supplies all of the bounce has the near one
         light = context.light.get(Transport.DIRECT_DIFFUSE, light)
-    if not frame.world.is_black:                                        # nobody else has the bounce of the world's light
+    if not frame.world.is_black and Transport.WORLD_BOUNCE_DIFFUSE not in context.to_come:
         _, shares = _gathered(frame, taps, params, None, sky, radius, 0.0, FIRST_LATTICE_PX, seed + 1, context,
                               "World light of emitters")
         light = light + _world_light(frame, shares, opened)[0]

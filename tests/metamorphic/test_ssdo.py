@@ -107,6 +107,8 @@ def test_beside_a_bounce_that_is_whole_only_the_worlds_light_bounces(room, lamp_
     got = compute_ssdo(room, SsdoParams(radius_m=2.0, samples=16), context, 3).light
     assert all(np.array_equal(got[t], light(room)[t]) for t in (NEAR, WORLD))
     assert not compute_ssdo(black_world(room), SsdoParams(radius_m=2.0), context, 3).light[NEAR].any()
+    context.to_come = frozenset({Transport.WORLD_BOUNCE_DIFFUSE})       # and not even that beside final gathering
+    assert not compute_ssdo(room, SsdoParams(radius_m=2.0), context, 3).light[NEAR].any()
 
 
 # ---- geometry ----
