@@ -302,7 +302,7 @@ class SsdoParams(Params):
     blur: int = param(
         2, "Radius of the edge-preserving blur in gathered points; 0 leaves the noise", low=0, high=8, unit="px")
     hand_over: bool = param(
-        True, "Bring the bounce of near surfaces in view also beside reflective shadow maps, which then leave it out")
+        False, "Bring the bounce of near surfaces in view also beside reflective shadow maps, which then leave it out")
 
 
 TECHNIQUE_PARAMS: dict[str, type[Params]] = {

@@ -62,9 +62,9 @@ class Context:
     The BVH is built at most once for the same triangles, also over frames. `light` holds what the techniques before this one
     have supplied to the frame, by transport; a pass that reads it takes a missing transport as black.
 
-    `to_come`: the transports that later techniques supply. `near_m`: a later technique brings the bounce of lamps' light from
-    surfaces in view that are nearer than this, by `kernels.sampling.near_weight`; 0 for none. `near_left_m`: the same as far
-    as the owner of the bounce left it out.
+    `to_come`: the transports that later techniques supply. `near_m`: a later technique brings the bounce of lamps' light
+    from surfaces in view that are nearer than this, by `kernels.sampling.near_weight`; 0 for none. `near_left_m`: the same
+    as far as the owner of the bounce left it out.
     """
 
     def __init__(self, is_cancelled: Callable[[], bool] = lambda: False,

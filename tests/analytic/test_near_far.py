@@ -36,7 +36,8 @@ def corner(sees_wall: bool = True) -> Frame:
 def bounce(frame: Frame, techniques: tuple[str, ...], method: str = "VISIBLE", **ssdo) -> dict[Transport, np.ndarray]:
     settings = default_settings()
     settings.params["rsm"] = RsmParams(method=method, lattice_px=1, rays=256, clusters=256, samples=2048)
-    settings.params["ssdo"] = SsdoParams(**{"radius_m": 2.0, "lattice_px": 1, "slices": 8, "steps": 16, "blur": 0, **ssdo})
+    settings.params["ssdo"] = SsdoParams(**{
+        "radius_m": 2.0, "lattice_px": 1, "slices": 8, "steps": 16, "blur": 0, "hand_over": True, **ssdo})
     return pipeline.run(frame, Plan(techniques), settings).transports
 
 
