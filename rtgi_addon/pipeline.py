@@ -111,6 +111,8 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
     frame = mend_frame(frame)
     results = []
     with kernel_session(settings.threads):
+        sharing = [TECHNIQUES[name] for name in plan.techniques if TECHNIQUES[name].near_m]
+        context.near_m = max((t.near_m(frame, settings.params[t.name]) for t in sharing), default=0.0)
         for number, name in enumerate(plan.techniques):
             technique = TECHNIQUES[name]
             context.span = _span(number, len(plan.techniques))
@@ -119,9 +121,13 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
                 with stages("bvh"):
                     context.bvh(frame.geometry)
             context.light = merge(results)
+            later = plan.techniques[number + 1:]
+            context.to_come = frozenset().union(*(TECHNIQUES[other].transports for other in later))
+            context.near_left_m = max((result.near_left_m for _, result in results), default=0.0)
             with stages(name):
                 results.append((name, technique.compute(frame, settings.params[name], context, settings.seed)))
-        context.light, context.span = {}, (0.0, 1.0)
+        context.light, context.to_come, context.span = {}, frozenset(), (0.0, 1.0)
+        context.near_m = context.near_left_m = 0.0
         layer = threading_layer()
     with stages("composite"):
         light = merge(results)

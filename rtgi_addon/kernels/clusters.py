@@ -21,7 +21,8 @@ POSITION, NORMAL, DIFFUSE, TO_LIGHT, GLOSSY, ALPHA2, F0 = 0, 3, 6, 9, 12, 15, 16
 ROWS = 17
 # clustered texels have two more: mean over the colours of each flux, which is what draws go by
 MEAN_DIFFUSE, MEAN_GLOSSY = 17, 18
-RECORD = 20                 # numbers a texel takes where it is read whole, padded to a multiple of 16 bytes
+FADE = 19                   # only where it is read whole: `near_weight` of senders that another technique takes, else 0
+RECORD = 20                 # numbers a texel takes where it is read whole
 NO_LOBE = f32(2)
 # rows of the cluster table
 C_POSITION, C_NORMAL, C_DIFFUSE, C_RADIUS2, C_TO_LIGHT, C_GLOSSY, C_ALPHA2, C_SPREAD, C_F0 = 0, 3, 6, 7, 8, 11, 12, 13, 14
@@ -225,8 +226,11 @@ def _summarise(T, start, end):
     return out
 
 
-def cluster_texels(table: np.ndarray, number: int, scale_m: float) -> Clusters:
-    """Group the columns of a (17, N) texel table, N >= 1, into at most `number` clusters; `scale_m` is the scene's size."""
+def cluster_texels(table: np.ndarray, number: int, scale_m: float, fade: np.ndarray | None = None) -> Clusters:
+    """Group the columns of a (17, N) texel table, N >= 1, into at most `number` clusters; `scale_m` is the scene's size.
+
+    `fade` (N,) 1/m2: the diffuse light of a texel counts 1 - near_weight(distance^2, fade) where it is not 0.
+    """
     feature = np.empty((table.shape[1], 6), np.float32)
     feature[:, :3] = table[POSITION:POSITION + 3].T
     np.multiply(table[NORMAL:NORMAL + 3].T, np.float32(NORMAL_WEIGHT * scale_m), out=feature[:, 3:])
@@ -238,5 +242,7 @@ def cluster_texels(table: np.ndarray, number: int, scale_m: float) -> Clusters:
         np.mean(texels[row:row + 3], axis=0, out=texels[mean])
     records = np.zeros((table.shape[1], RECORD), np.float32)
     records[:, :len(texels)] = texels.T
+    if fade is not None:
+        records[:, FADE] = fade[order]
     running = np.concatenate([[0.0], np.cumsum(weight[order], dtype=np.float64)])
     return Clusters(texels, records, bool(texels[MEAN_GLOSSY].any()), _summarise(texels, start, end), start, end, running)

@@ -26,6 +26,7 @@ from .clusters import (
     C_TO_LIGHT,
     DIFFUSE,
     F0,
+    FADE,
     GLOSSY,
     MEAN_DIFFUSE,
     MEAN_GLOSSY,
@@ -34,7 +35,7 @@ from .clusters import (
     TO_LIGHT,
 )
 from .jit import inline_jit, pixel_jit, prange
-from .sampling import uniform
+from .sampling import near_weight, uniform
 from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_column, scaled, sub
 
 HALF, THIRD = f32(0.5), f32(1 / 3)
@@ -200,6 +201,9 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
         if k < 0 or share <= ZERO:
             continue
         diffuse, glossy = _record_factors(p, n, R, k, eps2)
+        if R[k, FADE] > ZERO:
+            d = sub(load(R, k), p)
+            diffuse *= ONE - near_weight(dot(d, d), R[k, FADE])
         gives = diffuse * R[k, MEAN_DIFFUSE] + glossy * R[k, MEAN_GLOSSY]
         if gives <= ZERO:
             continue

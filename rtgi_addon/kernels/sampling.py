@@ -1,4 +1,7 @@
-"""Numbers that look random but are functions of (pixel, sample, seed): the same for every order and number of threads."""
+"""Numbers that look random but are functions of (pixel, sample, seed): the same for every order and number of threads.
+
+And the weight by which two techniques share the senders around a point, `near_weight`.
+"""
 
 from __future__ import annotations
 
@@ -58,3 +61,13 @@ def uniform_sphere(u, v):
     r = math.sqrt(max(ZERO, ONE - z * z))
     phi = TWO_PI * v
     return Vec3(r * math.cos(phi), r * math.sin(phi), z)
+
+
+@device_jit
+def near_weight(distance2, fade):
+    """1 for senders nearer than half of a distance, 0 beyond it, smooth between; `fade` is 1 / distance^2, 0 gives 1.
+
+    The near owner of a bounce takes this share of a sender's light, the far one the rest, so that nothing counts twice.
+    """
+    z = min(max((distance2 * fade - f32(0.25)) * f32(4 / 3), ZERO), ONE)
+    return ONE - z * z * (f32(3) - f32(2) * z)

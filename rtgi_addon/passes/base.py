@@ -45,12 +45,14 @@ class PassResult:
 
     `takes_over` names transports whose earlier light, from `Context.light`, went into this result and is replaced by it.
     `pictures` (H, W, 3) float32 by name show what the technique works on; they are for looking at and not added up.
+    `near_left_m` > 0 says that the bounce leaves out what `Context.near_m` asked for.
     """
 
     light: dict[Transport, np.ndarray]
     visibility: np.ndarray | None = None
     diagnostics: dict[str, Any] = field(default_factory=dict)
     takes_over: frozenset[Transport] = frozenset()
+    near_left_m: float = 0.0
     pictures: dict[str, np.ndarray] = field(default_factory=dict)
 
 
@@ -59,6 +61,10 @@ class Context:
 
     The BVH is built at most once for the same triangles, also over frames. `light` holds what the techniques before this one
     have supplied to the frame, by transport; a pass that reads it takes a missing transport as black.
+
+    `to_come`: the transports that later techniques supply. `near_m`: a later technique brings the bounce of lamps' light
+    from surfaces in view that are nearer than this, by `kernels.sampling.near_weight`; 0 for none. `near_left_m`: the same
+    as far as the owner of the bounce left it out.
     """
 
     def __init__(self, is_cancelled: Callable[[], bool] = lambda: False,
@@ -71,6 +77,8 @@ class Context:
         self._voxels: tuple[Any, Any, Any] = (None, None, None)
         self.light: dict[Transport, np.ndarray] = {}
         self.span = (0.0, 1.0)                   # of a frame's progress that the shares of checkpoints lie in
+        self.to_come: frozenset[Transport] = frozenset()
+        self.near_m = self.near_left_m = 0.0
 
     @contextlib.contextmanager
     def listening(self, is_cancelled: Callable[[], bool], report: Callable[[str, float], None]) -> Iterator[None]:
@@ -124,7 +132,8 @@ class Technique:
     """A registry line.
 
     `compute(frame, params, context, seed)` returns a PassResult; `transports` is what it may supply; `needs_geometry`
-    and `needs_views` tell the planner what to capture.
+    and `needs_views` tell the planner what to capture. `near_m(frame, params)` is `Context.near_m` of one that takes a share
+    of the bounce, 0 where it takes none.
     """
 
     name: str
@@ -134,3 +143,4 @@ class Technique:
     transports: frozenset[Transport]
     needs_geometry: bool = False
     needs_views: bool = False
+    near_m: Callable[[Frame, Any], float] | None = None

@@ -21,12 +21,13 @@ import numpy as np
 from ..core.frame import Frame, Light, LightKind, LightView
 from ..core.techniques import RsmParams
 from ..kernels.brdf import albedo_table, mean_albedo_table
-from ..kernels.clusters import DIFFUSE, GLOSSY, ROWS, cluster_texels, fill_texels
+from ..kernels.clusters import DIFFUSE, GLOSSY, NORMAL, POSITION, ROWS, cluster_texels, fill_texels
 from ..kernels.gather import gather_visible
 from ..kernels.vec3 import f32, vector
 from ..kernels.vpl import gather_all, gather_polar, thin_texels
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_in_tiles, gather_on_lattice
+from .screen import is_shown
 
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
@@ -64,12 +65,17 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
 def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
     table = texel_table(frame, params.glossy_texels)
     if not table.shape[1]:
-        return PassResult({Transport.BOUNCE_DIFFUSE: np.zeros_like(frame.gbuffer.albedo)}, diagnostics={"texels": 0})
+        return PassResult({Transport.BOUNCE_DIFFUSE: np.zeros_like(frame.gbuffer.albedo)}, diagnostics={"texels": 0},
+                          near_left_m=context.near_m)
     n_texels = table.shape[1]
     if n_texels > MAX_TEXELS:
         table = thin_texels(table, MAX_TEXELS, seed)
     context.checkpoint("Cluster lit texels", 0.0)
-    clusters = cluster_texels(table, params.clusters, frame.scale_m)
+    fade = None
+    if context.near_m > 0:                       # whoever asked brings the near light of texels that the camera sees
+        shown = is_shown(frame, table[POSITION:POSITION + 3].T, table[NORMAL:NORMAL + 3].T)
+        fade = shown * f32(1 / context.near_m**2)
+    clusters = cluster_texels(table, params.clusters, frame.scale_m, fade)
     bvh = context.bvh(frame.geometry)
     offset_m, eps2 = f32(frame.ray_offset_m), f32(MIN_DISTANCE2 * frame.scale_m**2)
 
@@ -78,7 +84,8 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
 
     irradiance, diagnostics = gather_on_lattice(frame, gather, params.lattice_px, 2 * seed + 1, context, "Gather the bounce")
     return PassResult({Transport.BOUNCE_DIFFUSE: irradiance},
-                      diagnostics={"texels": n_texels, "clusters": clusters.table.shape[1], **diagnostics})
+                      diagnostics={"texels": n_texels, "clusters": clusters.table.shape[1], **diagnostics},
+                      near_left_m=context.near_m)
 
 
 def _all_texels(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
