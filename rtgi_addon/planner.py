@@ -133,7 +133,7 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
         return "the camera sees no surface"
     if name == "direct" and not frame.lights:
         return "there is no lamp"
-    if name == "world" and frame.world.is_black:
+    if name in ("world", "hbao", "ssao") and frame.world.is_black:
         return "the world is black"
     has_emitters = frame.geometry is not None and bool(frame.geometry.emission.any())
     if name == "emission" and not has_emitters:
@@ -145,6 +145,8 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
     if name == "ssr" and not (frame.lights or not frame.world.is_black or frame.gbuffer.emission[mask].any()
                               or has_emitters):
         return "there is no light to reflect"
+    if name == "ssdo":
+        return "rays through the triangles find its light also off screen"
     is_lit = any(view.incident_flux.any() and view.gbuffer.mask.any() for view in frame.views)
     if name in ("rsm", "lpv") and not is_lit:
         return "no lamp lights a surface" if frame.lights else "there is no lamp"

@@ -208,9 +208,105 @@ class SsrParams(Params):
         "shorter side", low=0.0, high=0.5)
 
 
+@dataclass(frozen=True)
+class HbaoParams(Params):
+    """Horizon-based ambient occlusion: world light, shadowed by what the screen shows around a pixel."""
+
+    method: str = param(
+        "COSINE", "What is measured",
+        choices=(("COSINE", "Cosine-correct",
+                  "Sectors around the viewer's direction, with thickness: ray-traced visibility where the screen shows all"),
+                 ("PUBLISHED", "As published",
+                  "Horizons with tangent bias and falloff (Bavoil et al. 2008): even in angle, nothing passes behind")))
+    radius_m: float = param(
+        0.0, "Distance up to which things hide the sky; 0 takes 20 % of the scene's size",
+        low=0.0, high=1e6, soft_high=100.0, unit="m")
+    slices: int = param(
+        2, "Planes through the viewer's direction that are marched to both sides; the blur evens out few of them", low=1,
+        high=64, soft_high=16)
+    steps: int = param(
+        12, "Samples to each side of a slice; too few miss what is small and leave corners too bright", low=1, high=256,
+        soft_high=64)
+    thickness: float = param(
+        0.7, "Depth of what stands behind each visible point, as a share of the radius; light passes behind thinner things",
+        low=0.0, high=10.0, soft_high=2.0)
+    bias_rad: float = param(
+        0.1, "Elevation over the tangent plane below which the published form sees no occluder; hides coarse meshes' edges",
+        low=0.0, high=1.5, unit="rad")
+    falloff: bool = param(True, "The published form lets occluders fade towards the radius; off, they count in full")
+    bent_normals: bool = param(
+        True, "Light of a map is looked up along the mean open direction instead of the normal; takes a tenth longer")
+    multi_bounce: bool = param(
+        False, "Adds the light that surfaces alike send to each other, as an exact series; off, no bounce is added")
+    blur: int = param(
+        2, "Radius of the edge-preserving blur in gathered points; 0 leaves the noise", low=0, high=8, unit="px")
+    lattice_px: int = param(
+        1, "Distance between gathered points; pixels between them are interpolated along their surface", low=1, high=8,
+        unit="px")
+    overscan: float = param(
+        0.0, "Rim beyond the picture's edges, as a share of its shorter side, that is ray-cast for occluders off screen",
+        low=0.0, high=1.0, soft_high=0.5)
+
+
+@dataclass(frozen=True)
+class SsaoParams(Params):
+    """Screen-space ambient occlusion: world light, shadowed by random points around a pixel that the screen hides."""
+
+    method: str = param(
+        "HEMISPHERE", "Where the points lie",
+        choices=(("HEMISPHERE", "Hemisphere", "On the normal's side; what lies far before a point does not hide it"),
+                 ("SPHERE", "As published",
+                  "All around, without normals (Mittring 2007): no occlusion if more than half is seen; false shadows")))
+    radius_m: float = param(
+        0.0, "Radius of the ball of points; 0 takes 20 % of the scene's size", low=0.0, high=1e6, soft_high=100.0, unit="m")
+    samples: int = param(
+        16, "Points around each pixel; noise falls with the square root, and the blur evens it out", low=1, high=1024,
+        soft_high=128)
+    blur: int = param(
+        2, "Radius of the edge-preserving blur in gathered points; 0 leaves the noise", low=0, high=8, unit="px")
+    lattice_px: int = param(
+        1, "Distance between gathered points; pixels between them are interpolated along their surface", low=1, high=8,
+        unit="px")
+    overscan: float = param(
+        0.0, "Rim beyond the picture's edges, as a share of its shorter side, that is ray-cast for occluders off screen",
+        low=0.0, high=1.0, soft_high=0.5)
+
+
+@dataclass(frozen=True)
+class SsdoParams(Params):
+    """Screen-space directional occlusion: world light by direction, and the bounce from near surfaces in view."""
+
+    form: str = param(
+        "SECTORS", "How the surroundings of a pixel are looked at",
+        choices=(("SECTORS", "Sectors",
+                  "Slices around the viewer's direction, 64 sectors each: cosine and solid angle exact"),
+                 ("SAMPLES", "As published",
+                  "Random points in the hemisphere (Ritschel, Grosch and Seidel 2009): rough, and wrong close to a corner")))
+    radius_m: float = param(
+        0.0, "How far surfaces shadow and light each other; 0 takes 20 % of the scene's size", low=0.0, high=1e6,
+        soft_high=100.0, unit="m")
+    thickness: float = param(
+        0.05, "Depth of what only shows its front, as a share of the radius; thick hides light behind thin things",
+        low=0.0, high=1.0)
+    slices: int = param(
+        1, "Slices at each gathered point; noise falls faster than with the square root", low=1, high=64, soft_high=8)
+    steps: int = param(
+        8, "Steps along each side of a slice, before edges are sought between them; few miss small things", low=1, high=64,
+        soft_high=32)
+    samples: int = param(
+        32, "Points around each pixel in the published form; noise falls with the square root", low=1, high=1024,
+        soft_high=128)
+    lattice_px: int = param(
+        2, "Distance between gathered points; pixels between them are interpolated along their surface", low=1, high=8,
+        unit="px")
+    blur: int = param(
+        2, "Radius of the edge-preserving blur in gathered points; 0 leaves the noise", low=0, high=8, unit="px")
+
+
 TECHNIQUE_PARAMS: dict[str, type[Params]] = {
     "direct": DirectParams, "world": WorldParams, "emission": EmissionParams, "rsm": RsmParams, "vxgi": VxgiParams,
-    "lpv": LpvParams, "final_gather": FinalGatherParams, "ssr": SsrParams}
+    "lpv": LpvParams, "final_gather": FinalGatherParams,
+    "hbao": HbaoParams, "ssao": SsaoParams, "ssdo": SsdoParams, "ssr": SsrParams}
 
 # these run in every render and have no toggle
 ALWAYS_ON = ("direct", "world", "emission")
@@ -223,6 +319,9 @@ LABELS: dict[str, str] = {
     "vxgi": "Voxel Global Illumination",
     "lpv": "Light Propagation Volumes",
     "final_gather": "Final Gathering",
+    "hbao": "Ambient Occlusion (HBAO)",
+    "ssao": "Ambient Occlusion (SSAO)",
+    "ssdo": "Directional Occlusion (SSDO)",
     "ssr": "Screen-Space Reflections",
 }
 
@@ -237,6 +336,10 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
         "final_gather": {"lattice_px": 8, "rays": 12},
         "ssr": {"samples": 4},
+        "hbao": {"slices": 2, "steps": 8, "lattice_px": 2, "overscan": 0.0},
+        "ssao": {"samples": 8, "lattice_px": 2, "overscan": 0.0},
+        "ssdo": {"slices": 1, "steps": 6, "lattice_px": 2, "samples": 16},
+        "ssr": {"samples": 8},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
@@ -247,6 +350,10 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "lpv": {"resolution": 32, "directions": 4, "lattice_px": 6},
         "final_gather": {"lattice_px": 4, "rays": 24},
         "ssr": {"samples": 8},
+        "hbao": {"slices": 2, "steps": 12, "lattice_px": 1, "overscan": 0.0},
+        "ssao": {"samples": 16, "lattice_px": 1, "overscan": 0.0},
+        "ssdo": {"slices": 1, "steps": 8, "lattice_px": 2, "samples": 32},
+        "ssr": {"samples": 16},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},
@@ -256,6 +363,9 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "vxgi": {"resolution": 256, "lattice_px": 2, "cones": 64},
         "lpv": {"resolution": 48, "directions": 6, "lattice_px": 3},
         "final_gather": {"lattice_px": 2, "rays": 64},
+        "hbao": {"slices": 4, "steps": 32, "lattice_px": 1, "overscan": 0.15},
+        "ssao": {"samples": 64, "lattice_px": 1, "overscan": 0.15},
+        "ssdo": {"slices": 2, "steps": 16, "lattice_px": 1, "samples": 64},
         "ssr": {"samples": 64},
     },
 }

@@ -9,8 +9,9 @@ import numpy as np
 from .brdf import INV_PI
 from .bvh import STACK, visibility
 from .jit import device_jit, pixel_jit, prange
+from .octahedron import table_at
 from .sampling import TWO_PI, cosine_hemisphere, r2_sequence, uniform
-from .vec3 import ONE, ZERO, Vec3, begun, dot, f32, lifted, load, scaled, tangent_frame, to_world
+from .vec3 import ONE, ZERO, Vec3, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
 
 PI = f32(math.pi)
 
@@ -93,3 +94,36 @@ def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_sha
         out[m, 0], out[m, 1], out[m, 2], out[m, 3] = red, green, blue, given
         out[m, 4] = max(squares - f32(1 / 9) * (red + green + blue) ** 2 / f32(rays), ZERO)
     return out
+
+
+@pixel_jit
+def light_through(table, planes, normal, mask, albedo, has_bounces):
+    """Sky light behind a visibility: (irradiance (H, W, 3) W/m2, visibility (H, W)), float32; zero and 1 outside `mask`.
+
+    `table` (n, n, 3) holds what an open surface gets, by its normal. `planes` (C, H, W) are the visibility V and, if C is 4,
+    the mean open direction, along which the table is read instead of the normal.
+
+    With `has_bounces` a surface of reflectance r is taken to see itself over the 1 - V that is closed: E = V + r (1 - V) E,
+    so V becomes V / (1 - r (1 - V)). This is exact inside a sphere with an opening, where every point sees the rest alike;
+    the cubic that Jimenez et al. (2016) fit to renders gives 0.259 instead of 0.357 for V = 0.1, r = 0.8.
+    """
+    height, width = mask.shape
+    light, visibility = np.zeros((height, width, 3), np.float32), np.ones((height, width), np.float32)
+    for i in prange(height):
+        for j in range(width):
+            if not mask[i, j]:
+                continue
+            v = min(max(planes[0, i, j], ZERO), ONE)
+            d = load_pixel(normal, i, j)
+            if planes.shape[0] == 4:
+                bent = Vec3(planes[1, i, j], planes[2, i, j], planes[3, i, j])
+                d = bent if dot(bent, bent) > ZERO else d
+            visibility[i, j] = v
+            light[i, j, 0], light[i, j, 1], light[i, j, 2] = table_at(table, d)
+            for c in range(3):
+                share = v
+                if has_bounces:
+                    r = min(max(albedo[i, j, c], ZERO), ONE)
+                    share = v / max(ONE - r * (ONE - v), f32(1e-6))
+                light[i, j, c] *= share
+    return light, visibility

@@ -7,15 +7,18 @@ from .base import Technique
 from .direct import TECHNIQUE as _DIRECT
 from .emission import TECHNIQUE as _EMISSION
 from .final_gather import TECHNIQUE as _FINAL_GATHER
+from .hbao import TECHNIQUE as _HBAO
 from .lpv import TECHNIQUE as _LPV
 from .rsm import TECHNIQUE as _RSM
+from .ssao import TECHNIQUE as _SSAO
+from .ssdo import TECHNIQUE as _SSDO
 from .ssr import TECHNIQUE as _SSR
 from .vxgi import TECHNIQUE as _VXGI
 from .world import TECHNIQUE as _WORLD
 
 # in the order in which they run; where several could supply the same light, the planner prefers the first
 TECHNIQUES: dict[str, Technique] = {
-    t.name: t for t in (_DIRECT, _WORLD, _EMISSION, _RSM, _VXGI, _LPV, _FINAL_GATHER, _SSR)}
+    t.name: t for t in (_DIRECT, _WORLD, _EMISSION, _RSM, _VXGI, _LPV, _FINAL_GATHER, _HBAO, _SSAO, _SSDO, _SSR)}
 
 
 def technique(name: str) -> Technique:

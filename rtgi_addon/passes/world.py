@@ -10,28 +10,9 @@ from ..kernels.sky import gather_sky
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_on_lattice
+from .sky_light import open_irradiance, shrink_map
 
-MAP_SIZE = (64, 128)        # rows and columns of the gathered map: 2.8 degrees, finer than a cosine needs
 MAP_SHARE = 0.5             # share of the rays drawn by the map's brightness, when it is not constant
-
-
-def shrink_map(radiance: np.ndarray, size: tuple[int, int] = MAP_SIZE) -> np.ndarray:
-    """(h, w, 3) float32 means over equal parts of an equirectangular map, weighed by solid angle; never enlarged.
-
-    Energy is kept: the sum of radiance times solid angle is the same before and after.
-    """
-    height, width = radiance.shape[:2]
-    rows, columns = min(size[0], height), min(size[1], width)
-    latitude = np.pi / 2 - np.pi * np.arange(height + 1) / height
-    weight = (np.sin(latitude[:-1]) - np.sin(latitude[1:]))[:, None, None]
-    row_of, column_of = np.arange(height) * rows // height, np.arange(width) * columns // width
-    by_row = np.zeros((rows, width, 3))
-    np.add.at(by_row, row_of, radiance * weight)
-    out = np.zeros((rows, columns, 3))
-    np.add.at(out.transpose(1, 0, 2), column_of, by_row.transpose(1, 0, 2))
-    count = np.zeros((rows, 1, 1))
-    np.add.at(count, row_of, weight)
-    return (out / count / np.bincount(column_of, minlength=columns)[None, :, None]).astype(np.float32)
 
 
 def sky_distribution(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,31 +74,10 @@ def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int
 
 def _visibility(irradiance: np.ndarray, sky: World, normal_ws: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(H, W) float32: irradiance over what an open surface of the same normal would get, in [0, 1]."""
-    height, width = sky.radiance.shape[:2]
-    latitude = np.pi / 2 - np.pi * (np.arange(height) + 0.5) / height
-    longitude = -np.pi + 2 * np.pi * (np.arange(width) + 0.5) / width
-    edge = np.pi / 2 - np.pi * np.arange(height + 1) / height
-    solid_angle = (np.sin(edge[:-1]) - np.sin(edge[1:])) * 2 * np.pi / width
-    if sky.is_constant:
-        open_light = np.pi * sky.radiance[0, 0].sum()
-    else:
-        # irradiance of a distant sky is smooth in the normal: its first nine harmonics hold 99 % of it
-        y, x = np.cos(latitude)[:, None] * np.cos(longitude), np.cos(latitude)[:, None] * np.sin(longitude)
-        z = np.broadcast_to(np.sin(latitude)[:, None], x.shape)
-        brightness = sky.radiance.sum(-1) * solid_angle[:, None]
-        coefficients = np.tensordot(_harmonics(x, y, z), brightness, 2)
-        band = np.array([np.pi] + [2 * np.pi / 3] * 3 + [np.pi / 4] * 5)
-        n = normal_ws.astype(np.float32)
-        open_light = np.tensordot((coefficients * band).astype(np.float32), _harmonics(n[..., 0], n[..., 1], n[..., 2]), 1)
+    open_light = open_irradiance(sky, normal_ws, mask).sum(-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = irradiance.sum(-1) / open_light
     return np.where(mask, np.clip(np.nan_to_num(share, nan=1.0, posinf=1.0), 0, 1), 1).astype(np.float32)
-
-
-def _harmonics(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """(9, ...) real spherical harmonics of bands 0 to 2 at unit directions (Ramamoorthi and Hanrahan 2001)."""
-    return np.stack([np.full_like(x, 0.282095), 0.488603 * y, 0.488603 * z, 0.488603 * x, 1.092548 * x * y, 1.092548 * y * z,
-                     0.315392 * (3 * z * z - 1), 1.092548 * x * z, 0.546274 * (x * x - y * y)])
 
 
 TECHNIQUE = Technique("world", "World Light", WorldParams, compute_world, frozenset({Transport.WORLD_DIFFUSE}),

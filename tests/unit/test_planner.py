@@ -42,6 +42,14 @@ def test_what_shines_by_itself_is_asked_for_its_light_and_its_bounce(frame):
     assert {"emission", "final_gather"} <= set(plan.techniques) and "vxgi" not in plan.techniques
 
 
+def test_the_planner_leaves_directional_occlusion_to_those_who_ask_for_it(frame):
+    dark = dataclasses.replace(make_room_frame(24, 16, (LightKind.POINT,)))
+    for seen in (frame, dark):
+        assert "ssdo" not in planner.plan_frame(seen, default_settings(), planner.CapturePlan()).techniques
+    plan = planner.plan_frame(frame, default_settings(techniques=["ssdo"]), planner.CapturePlan())
+    assert "ssdo" in plan.techniques and "world" not in plan.techniques
+
+
 def _light(value, **kwargs):
     return PassResult({Transport.BOUNCE_GLOSSY: np.full((1, 1, 3), value, np.float32)}, **kwargs)
 

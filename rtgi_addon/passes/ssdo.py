@@ -1,0 +1,190 @@
+"""Screen-space directional occlusion: the world's light by direction, and the first bounce from what the camera sees nearby.
+
+For a pixel x with normal n, what the screen shows within a radius splits the hemisphere: open directions bring the world's
+radiance, blocked ones the radiance of the surface that blocks them,
+
+    E_world(x) = integral over open w of L_world(w) (n . w) dw
+    E_near(x)  = integral over blocked w of L(y(x, w)) (n . w) dw,   L(y) = albedo(y) / pi * E(y)             [1], Eq. 1, 2
+
+As published (`SAMPLES`): N points in the hemisphere, each a random share of the radius away; a point under the surface that
+the screen shows there is blocked. Open points bring L_world (n . w) 2 pi / N, blocked ones L A cos cos / d^2 with
+A = pi r^2 / N.
+
+Sectors (`SECTORS`): slices of the hemisphere around the viewer's direction, each with 64 sectors of equal cosine-weighted
+measure (`kernels.slices`), that taps along the slice's line on the screen cover from near to far [2]. Every newly covered
+sector brings the radiance of the tap that covers it. Radiance does not change on its way and the solid angle is in the
+sector's measure, so the emitter's cosine must not come in a second time: facing is a yes or no. There is no 1 / d^2, and
+so no singularity to clamp.
+
+Deviations from [2]: slices are drawn by their weight, taps that are one sheet of surface are joined, edges of sheets are
+sought by halving the step, and the thickness counts behind edges only (`kernels.ssdo`). From [1]: d is not clamped to 1 but
+to the distance at which a patch fills the hemisphere, which does not depend on the unit of length.
+
+References
+----------
+.. [1] Ritschel, Grosch, Seidel. Approximating Dynamic Global Illumination in Image Space. I3D 2009.
+   doi:10.1145/1507149.1507161
+.. [2] Therrien, Levesque, Gilet. Screen Space Indirect Lighting with Visibility Bitmask. 2023. arXiv:2301.11376
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core.frame import Frame, World
+from ..core.techniques import SsdoParams
+from ..kernels.octahedron import look_up, node_directions
+from ..kernels.planes import smooth_planes, spread_planes
+from ..kernels.screen import Screen
+from ..kernels.ssdo import gather_samples, gather_sectors
+from ..kernels.vec3 import f32
+from .base import Context, PassResult, Technique, Transport
+from .screen import coarse_screen, screen_of
+from .sky_light import irradiance_table, shrink_map, texel_directions
+
+RADIUS_SHARE = 0.2          # of the scene's size, for a radius of 0: half of the bounce in view of four scenes is nearer
+BLUR_TOLERANCE_PX = 0.6     # height over a tangent plane at which a neighbour stops to count, in footprints of a pixel
+SPREAD_TOLERANCE_PX = 1.0   # the same for lattice points, in footprints of a lattice cell
+TILE_PIXELS = 65536         # between two looks at Esc
+FIRST_LATTICE_PX = 4        # of the world's light on the emitters, which reaches the picture after a bounce only
+SKY_NODES = 33              # edge of the table of the world's radiance: 6 degrees, a quarter of what a slice tells apart
+SKY_MAP_SIZE = (32, 64)
+NO_SKY = np.zeros((0, 0, 3), np.float32)
+
+
+class _Taps(NamedTuple):
+    """The picture as the kernels ask it; `table` is `tap_table()`."""
+
+    screen: Screen
+    table: np.ndarray
+
+
+def radiance_table(world: World) -> np.ndarray:
+    """(n, n, 3) float32 W/(m2 sr): the world for `kernels.octahedron.table_at`; empty for a constant or black one.
+
+    Each node is the mean of the map around it, by a tent as wide as the nodes lie apart; the whole sphere's flux is kept.
+    """
+    if world.is_constant or world.is_black:
+        return NO_SKY
+    radiance = shrink_map(world.radiance, SKY_MAP_SIZE)
+    direction, solid_angle = texel_directions(*radiance.shape[:2])
+    nodes = node_directions(SKY_NODES).reshape(-1, 3)
+    angle = np.arccos(np.clip(nodes @ direction.reshape(-1, 3).T, -1, 1))
+    weight = np.maximum(1 - angle / (np.pi / (SKY_NODES - 1)), 0) * solid_angle.ravel()
+    weight /= np.maximum(weight.sum(1, keepdims=True), 1e-30)
+    return np.ascontiguousarray((weight @ radiance.reshape(-1, 3)).reshape(SKY_NODES, SKY_NODES, 3), np.float32)
+
+
+def tap_table(frame: Frame) -> np.ndarray:
+    """(H W, 4) float32: normal in the world, and depth in m with +inf for nothing; a tap is one read of 16 bytes."""
+    g = frame.gbuffer
+    table = np.empty((*g.shape, 4), np.float32)
+    table[..., :3], table[..., 3] = g.normal_ws, g.depth
+    return table.reshape(-1, 4)
+
+
+def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarray, sky: np.ndarray, radius: float,
+              fade: float, step: int, seed: int, context: Context, text: str) -> tuple[np.ndarray, np.ndarray]:
+    """Planes at every pixel, gathered at every `step`-th, smoothed and spread: the bounce (3, H, W) and the world's light.
+
+    That has one plane, pi times the visibility, without a sky; with one it has six, what arrives and what would arrive.
+    """
+    mask = frame.gbuffer.mask
+    if not mask[step // 2::step, step // 2::step].any():
+        step = 1                                 # an image smaller than the lattice, or one with slivers only
+    at = (slice(step // 2, None, step), slice(step // 2, None, step))
+    asked = np.ascontiguousarray(mask[at])
+    slots = np.flatnonzero(asked)
+    ids = np.arange(mask.size).reshape(mask.shape)[at].ravel()[slots]
+    values = np.zeros((9, asked.size), np.float32)
+    for begin in range(0, len(ids), TILE_PIXELS):
+        context.checkpoint(text, begin / len(ids))
+        tile = slice(begin, begin + TILE_PIXELS)
+        if params.form == "SECTORS":
+            gather_sectors(taps.screen, taps.table, ids[tile], slots[tile], radiance, sky, f32(radius),
+                           f32(params.thickness * radius), f32(fade), params.slices, params.steps, seed, values)
+        else:
+            gather_samples(taps.screen, ids[tile], slots[tile], radiance, sky, f32(radius), f32(fade), params.samples, seed,
+                           values)
+    context.checkpoint("Filter", 0.9)
+    planes = values.reshape(9, *asked.shape)[:9 if len(sky) else 4]
+    coarse = coarse_screen(taps.screen, step) if step > 1 else taps.screen
+    if params.blur > 0:
+        planes = smooth_planes(coarse, planes, params.blur, f32(BLUR_TOLERANCE_PX))
+    if step > 1:
+        planes = spread_planes(taps.screen, coarse, planes, step, f32(SPREAD_TOLERANCE_PX))
+    return planes[:3], planes[3:]
+
+
+def _world_light(frame: Frame, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(irradiance (H, W, 3) W/m2, visibility (H, W)) float32 from planes (1, H, W) or (6, H, W), see `_gathered`.
+
+    With a map, light is what an open surface gets times the share of the directions' light that got through, colour by
+    colour: so a plane under any sky has no noise.
+    """
+    g, mask = frame.gbuffer, frame.gbuffer.mask
+    if len(planes) == 1:
+        visibility = np.where(mask, planes[0] * f32(1 / np.pi), f32(1))
+        return (visibility * mask)[..., None] * np.float32(np.pi) * frame.world.radiance[0, 0], visibility
+    visible, whole = planes[:3], np.maximum(planes[3:], f32(1e-20))
+    share = np.moveaxis(np.minimum(visible / whole, f32(1)), 0, -1)
+    visibility = np.where(mask, np.minimum(visible.sum(0) / whole.sum(0), f32(1)), f32(1))
+    return look_up(irradiance_table(frame.world), g.normal_ws, mask) * share, visibility
+
+
+def compute_ssdo(frame: Frame, params: SsdoParams, context: Context, seed: int = 0) -> PassResult:
+    """World light by direction and the near bounce, from what the camera sees.
+
+    Parameters
+    ----------
+    frame : Frame
+        With a world; triangles are not asked.
+    params : SsdoParams
+    context : Context
+        `light` holds the direct light of lamps, which the bounce is made of.
+    seed : int
+        Of slices, taps and samples.
+
+    Returns
+    -------
+    PassResult
+        WORLD_DIFFUSE and, unless an earlier technique supplies the bounce, NEAR_DIFFUSE: (H, W, 3) float32 W/m2; visibility
+        (H, W): share of the world's light that arrives.
+
+    Raises
+    ------
+    Cancelled
+        When the user asked to stop.
+
+    Notes
+    -----
+    Ignores what lies off screen, behind what the camera sees, or farther than the radius; the glossy lobe of emitters; light
+    of emissive surfaces. Exact for an open plane under any world; linear in the lamps' power and the world's.
+    """
+    g = frame.gbuffer
+    if not g.mask.any():
+        black = np.zeros_like(g.albedo)
+        return PassResult({Transport.WORLD_DIFFUSE: black, Transport.NEAR_DIFFUSE: black.copy()},
+                          np.ones(g.shape, np.float32))
+    taps = _Taps(screen_of(frame), tap_table(frame))
+    radius, sky = params.radius_m or RADIUS_SHARE * frame.scale_m, radiance_table(frame.world)
+    light = context.light.get(Transport.DIRECT_DIFFUSE, np.zeros_like(g.albedo))
+    if not frame.world.is_black:
+        black = np.zeros((g.depth.size, 3), np.float32)
+        _, planes = _gathered(frame, taps, params, black, sky, radius, 0.0, FIRST_LATTICE_PX, seed + 1, context,
+                              "World light of emitters")
+        light = light + _world_light(frame, planes)[0]
+    radiance = np.ascontiguousarray((light * g.albedo).reshape(-1, 3) * f32(1 / np.pi), np.float32)
+    near, planes = _gathered(frame, taps, params, radiance, sky, radius, 0.0, params.lattice_px, seed, context,
+                             "Directional occlusion")
+    world, visibility = _world_light(frame, planes)
+    supplied = {Transport.WORLD_DIFFUSE: world}
+    if Transport.BOUNCE_DIFFUSE not in context.light:            # whoever supplies the whole bounce has the near one in it
+        supplied[Transport.NEAR_DIFFUSE] = np.ascontiguousarray(np.moveaxis(near * g.mask, 0, -1))
+    return PassResult(supplied, visibility, {"radius_m": float(radius)})
+
+
+TECHNIQUE = Technique("ssdo", "Directional Occlusion (SSDO)", SsdoParams, compute_ssdo,
+                      frozenset({Transport.WORLD_DIFFUSE, Transport.NEAR_DIFFUSE}))
