@@ -36,19 +36,21 @@ from .slices import (
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load_pixel, scaled, tangent_frame
 
 LANES = 64                  # pixels that go through each step together
-HALF = f32(0.5)
+HALF, EIGHTH = f32(0.5), f32(1 / 8)
+LOBE = f32(2 / 3)           # length of the mean direction of a cosine lobe
 FAR = f32(1e18)             # stands for a depth where nothing is seen: its square is still a float32
 GOLDEN, SILVER = f32(0.618034), f32(0.754878)   # steps of the sequences that spread jitter over a pixel's slices
 GRAZING = f32(1e-3)         # cosine between a pixel's ray and the tangent plane below which their meeting place is not used
-RIM = f32(0.01)             # pixels that a tap may lie outside the outermost pixel centres, for rounding
+RIM = f32(1e-4)             # pixels that a tap may lie outside the outermost pixel centres, for rounding
 SURFACE = f32(1e-5)         # of a sample's depth: what a float32 depth cannot tell from lying on the surface
 
-# rows of the scratch array: vectors, then a Slice and the direction of its line, then numbers
+# rows of the scratch array: vectors, then a Slice and the direction of its line, then numbers, then one more vector
 _P, _VIEWER, _NORMAL, _SIDE, _BENT = (LANES * 3 * k for k in range(5))
 _SLICE, _LINE = LANES * 15, LANES * 22
 (_COLUMN, _ROW, _DISTANCE, _TURN, _JITTER, _SHIFT, _WEIGHT, _RATE, _COLUMNS, _ROWS, _REACH, _KNOWN, _HIT_COLUMN, _HIT_ROW,
  _DEPTH, _LOW, _HIGH, _LIGHT, _OPEN, _AT_COLUMN, _AT_ROW, _PART, _NEXT_DEPTH) = (LANES * k for k in range(24, 47))
-_ROW_COUNT = 47
+_ALL = LANES * 47
+_ROW_COUNT = 50
 NOWHERE = Vec3(ZERO, ZERO, ZERO)
 
 
@@ -82,6 +84,7 @@ def _begin(s, w, group, width, step, margin, seed):
         w[_SHIFT + x] = dither(row, column, seed, 2)
         w[_LIGHT + x], w[_OPEN + x] = ZERO, ZERO
         _put(w, _BENT, x, NOWHERE)
+        _put(w, _ALL, x, NOWHERE)
 
 
 @device_jit
@@ -199,21 +202,23 @@ def _mark(s, w, way, k, radius, thickness):
 
 @device_jit
 def _bend(w, closed, directions):
-    """Adds the open directions of a finished slice to the rows of the bent normal."""
+    """Adds the open directions of a finished slice to the rows of the bent normal, and all of its to those of `_ALL`."""
     last = f32(directions.shape[0] - 1)
     for x in range(LANES):
         at = min(max((w[_SLICE + 4 * LANES + x] + ONE) * HALF, ZERO), ONE) * last     # by the sine of the normal's angle
         k = min(np.int32(at), np.int32(last) - np.int32(1))
         part = at - f32(k)
-        v, b = ZERO, ZERO
+        v, b, all_v, all_b = ZERO, ZERO, ZERO, ZERO
         counts = bits_by_byte(~closed[x])
         for q in range(8):
             open_share = f32((counts >> np.uint64(8 * q)) & np.uint64(0xFF)) * f32(1 / SECTORS)
-            v += open_share * (directions[k, q, 0] + part * (directions[k + 1, q, 0] - directions[k, q, 0]))
-            b += open_share * (directions[k, q, 1] + part * (directions[k + 1, q, 1] - directions[k, q, 1]))
+            q_v = directions[k, q, 0] + part * (directions[k + 1, q, 0] - directions[k, q, 0])
+            q_b = directions[k, q, 1] + part * (directions[k + 1, q, 1] - directions[k, q, 1])
+            v, b, all_v, all_b = v + open_share * q_v, b + open_share * q_b, all_v + EIGHTH * q_v, all_b + EIGHTH * q_b
         weight = w[_WEIGHT + x] * w[_KNOWN + x]
         for c in range(3):
             w[_BENT + c * LANES + x] += weight * (v * w[_VIEWER + c * LANES + x] + b * w[_SIDE + c * LANES + x])
+            w[_ALL + c * LANES + x] += weight * (all_v * w[_VIEWER + c * LANES + x] + all_b * w[_SIDE + c * LANES + x])
 
 
 @pixel_jit
@@ -258,9 +263,14 @@ def sector_visibility(s, groups, height, width, step, margin, radius, thickness,
                 _bend(w, closed, directions)
         for x in range(LANES):
             rcp = ONE / max(w[_OPEN + x], TINY)
-            bent = turn_to_world(s, _vector(w, _BENT, x))
-            planes[0, group[x]] = w[_LIGHT + x] * rcp
-            planes[1, group[x]], planes[2, group[x]], planes[3, group[x]] = bent.x * rcp, bent.y * rcp, bent.z * rcp
+            light = w[_LIGHT + x] * rcp
+            planes[0, group[x]] = light
+            if directions.shape[0] > 0:
+                # open slices would add up to 2/3 of the normal if there were many and the picture held all of their taps
+                bent, whole = _vector(w, _BENT, x), _vector(w, _ALL, x)
+                bent = along(scaled(bent, rcp), whole, -light * rcp)
+                bent = turn_to_world(s, along(bent, _vector(w, _NORMAL, x), light * LOBE))
+                planes[1, group[x]], planes[2, group[x]], planes[3, group[x]] = bent.x, bent.y, bent.z
     return out
 
 

@@ -44,7 +44,7 @@ def to_viewer(frame: Frame, point: np.ndarray) -> np.ndarray:
 def seen_along(frame: Frame, start: np.ndarray, line: np.ndarray, length: float) -> list[np.ndarray]:
     """Points that the picture shows where a line of the screen crosses columns of pixel centres, or rows if it meets more.
 
-    Such a point lies between two pixels, on the straight line through what they see; where one sees nothing it is left out.
+    Such a point lies between two pixels, on the straight line through what they see; beside the sky it lies far off.
     """
     height, width = frame.gbuffer.shape
     camera, depth = frame.camera, frame.gbuffer.depth.astype(float)
@@ -59,7 +59,8 @@ def seen_along(frame: Frame, start: np.ndarray, line: np.ndarray, length: float)
         first, second, part = depth[i0, j0], depth[i0, j1], column - j0
         if abs(line[0]) >= abs(line[1]):
             first, second, part = depth[i0, j0], depth[i1, j0], row - i0
-        z = (1 - part) * first + part * second if is_parallel else 1 / ((1 - part) / first + part / second)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = (1 - part) * first + part * second if is_parallel else 1 / ((1 - part) / first + part / second)
         if np.isfinite(z):
             x, y = camera.left + (column + 0.5) * camera.pixel_size[0], camera.top - (row + 0.5) * camera.pixel_size[1]
             scale = 1.0 if is_parallel else z
