@@ -1,11 +1,10 @@
 """What ambient occlusion of the screen gets wrong, against rays through the triangles: python -m tools.ambient_defects
 
-    python -m tools.ambient_defects FRAME.npz ... [--rays N] [--figure OUT.jpg]
+    python -m tools.ambient_defects FRAME.npz ... [--rays N] [--figure OUT.png]
 
 Frames are what `rtgi_addon.frameio` saves. Each is put under an even white world, which makes the visibility of `world` the
 ray-traced one. Prints tables in Markdown: decibels of each method, and error over the number of taps; then seconds of two
-threads (processor time / 2). The figure shows the first frame by the ball, the hemisphere, HBAO and rays. Needs bpy for the
-figure only.
+threads (processor time / 2). The figure shows the first frame by the ball, the hemisphere, HBAO and rays.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rtgi_addon.compare.report import write_picture
 from rtgi_addon.core.frame import Frame, World
 from rtgi_addon.core.techniques import HbaoParams, SsaoParams, WorldParams
 from rtgi_addon.frameio import load_frame
@@ -70,13 +70,12 @@ def main(argv: list[str] | None = None) -> int:
                 curve, shown = by_taps(frame, mask), got | {"rays": (wanted, 0.0)}
         print("\n| taps a pixel | SSAO, hemisphere: rms to its limit | HBAO, cosine: rms to its limit |\n| --- | --- | --- |")
         for row in curve:
-            print("| {} | {:.4f} | {:.4f} |".format(*row))
+            print(f"| {row[0]} | {row[1]:.4f} | {row[2]:.4f} |")
     if options.figure:
-        from rtgi_addon.compare.report import side_by_side, write_picture
-
         names = ("SSAO, ball", "SSAO, hemisphere", "HBAO, cosine", "rays")
-        pictures = [np.repeat(shown[name][0][::2, ::2, None], 3, 2) for name in names]
-        write_picture(options.figure, side_by_side(pictures))
+        panels = np.concatenate([shown[name][0][1::3, 1::3] for name in names], 1)
+        grey = np.uint8(255 * np.clip(panels, 0, 1)**(1 / 2.2) + 0.5) & np.uint8(0xF8)      # fewer levels, a smaller file
+        write_picture(options.figure, np.repeat(grey[..., None], 3, 2))
     return 0
 
 
