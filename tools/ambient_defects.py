@@ -68,7 +68,8 @@ def main(argv: list[str] | None = None) -> int:
             print(f"| {path.stem} | " + " | ".join(cells) + " |", flush=True)
             if number == 0:
                 curve, shown = by_taps(frame, mask), got | {"rays": (wanted, 0.0)}
-        print("\n| taps a pixel | SSAO, hemisphere: rms to its limit | HBAO, cosine: rms to its limit |\n| --- | --- | --- |")
+        print("\n| taps a pixel | SSAO, hemisphere: rms to its limit | HBAO, cosine: rms to its limit |")
+        print("| --- | --- | --- |")
         for row in curve:
             print(f"| {row[0]} | {row[1]:.4f} | {row[2]:.4f} |")
     if options.figure:

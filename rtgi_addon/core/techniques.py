@@ -339,7 +339,6 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "hbao": {"slices": 2, "steps": 8, "lattice_px": 2, "overscan": 0.0},
         "ssao": {"samples": 8, "lattice_px": 2, "overscan": 0.0},
         "ssdo": {"slices": 1, "steps": 6, "lattice_px": 2, "samples": 16},
-        "ssr": {"samples": 8},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
@@ -353,7 +352,6 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "hbao": {"slices": 2, "steps": 12, "lattice_px": 1, "overscan": 0.0},
         "ssao": {"samples": 16, "lattice_px": 1, "overscan": 0.0},
         "ssdo": {"slices": 1, "steps": 8, "lattice_px": 2, "samples": 32},
-        "ssr": {"samples": 16},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 128},

@@ -15,7 +15,8 @@ from rtgi_addon.passes.hbao import bent_normals, compute_hbao
 from tests.oracle.ambient_oracle import CAMERAS, published_visibility, room_seen_by, sector_visibility
 
 RADIUS_M, THICKNESS = 0.8, 0.7
-# 32 slices of 128 taps each way, or 128 directions: their turn, and 64 sectors that sample the angles, leave up to 0.012 at a pixel and 0.004 rms over these, on three seeds
+# 32 slices of 128 taps each way, or 128 directions: the turn of the lines at steps in depth, and 64 sectors that sample the
+# angles, leave up to 0.02 at a pixel
 POINT, RMS = 0.02, 0.007
 
 
