@@ -15,8 +15,11 @@ from rtgi_addon.core.techniques import (
     DirectParams,
     EmissionParams,
     FinalGatherParams,
+    HbaoParams,
     LpvParams,
     RsmParams,
+    SsaoParams,
+    SsdoParams,
     SsrParams,
     VxgiParams,
     WorldParams,
@@ -30,6 +33,7 @@ CHEAP: dict[str, Params] = {
     "direct": DirectParams(soft_shadow_rays=4), "world": WorldParams(rays=8, lattice_px=2),
     "rsm": RsmParams(rays=8, clusters=16, lattice_px=2), "vxgi": VxgiParams(resolution=16, cones=8, lattice_px=2),
     "emission": EmissionParams(rays=8, clusters=16, lattice_px=2), "final_gather": FinalGatherParams(rays=8, lattice_px=2),
+    "hbao": HbaoParams(steps=4), "ssao": SsaoParams(samples=8), "ssdo": SsdoParams(steps=4),
     "lpv": LpvParams(resolution=8, directions=2, lattice_px=2), "ssr": SsrParams(samples=4, lattice_px=2)}
 SIZE = (16, 12)
 

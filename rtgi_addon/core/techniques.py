@@ -229,13 +229,16 @@ class HbaoParams(Params):
         soft_high=64)
     thickness: float = param(
         0.7, "Depth of what stands behind each visible point, as a share of the radius; light passes behind thinner things",
-        low=0.0, high=10.0, soft_high=2.0)
+        low=0.0, high=10.0, soft_high=2.0, only={"method": "COSINE"})
     bias_rad: float = param(
         0.1, "Elevation over the tangent plane below which the published form sees no occluder; hides coarse meshes' edges",
-        low=0.0, high=1.5, unit="rad")
-    falloff: bool = param(True, "The published form lets occluders fade towards the radius; off, they count in full")
+        low=0.0, high=1.5, unit="rad", only={"method": "PUBLISHED"})
+    falloff: bool = param(
+        True, "The published form lets occluders fade towards the radius; off, they count in full",
+        only={"method": "PUBLISHED"})
     bent_normals: bool = param(
-        True, "Light of a map is looked up along the mean open direction instead of the normal; takes a tenth longer")
+        True, "Light of a map is looked up along the mean open direction instead of the normal; takes a tenth longer",
+        only={"method": "COSINE"})
     multi_bounce: bool = param(
         False, "Adds the light that surfaces alike send to each other, as an exact series; off, no bounce is added")
     blur: int = param(
@@ -287,15 +290,16 @@ class SsdoParams(Params):
         soft_high=100.0, unit="m")
     thickness: float = param(
         0.05, "Depth of what only shows its front, as a share of the radius; thick hides light behind thin things",
-        low=0.0, high=1.0)
+        low=0.0, high=1.0, only={"form": "SECTORS"})
     slices: int = param(
-        1, "Slices at each gathered point; noise falls faster than with the square root", low=1, high=64, soft_high=8)
+        1, "Slices at each gathered point; noise falls faster than with the square root", low=1, high=64, soft_high=8,
+        only={"form": "SECTORS"})
     steps: int = param(
         8, "Steps along each side of a slice, before edges are sought between them; few miss small things", low=1, high=64,
-        soft_high=32)
+        soft_high=32, only={"form": "SECTORS"})
     samples: int = param(
         32, "Points around each pixel in the published form; noise falls with the square root", low=1, high=1024,
-        soft_high=128)
+        soft_high=128, only={"form": "SAMPLES"})
     lattice_px: int = param(
         2, "Distance between gathered points; pixels between them are interpolated along their surface", low=1, high=8,
         unit="px")

@@ -33,6 +33,7 @@ QUARTER, TWO = f32(0.25), f32(2)
 NOT_IN_PLANE = f32(1e-4)    # part of a normal in the slice's plane below which its angle there means nothing
 NEAR_PLANE = f32(0.02)      # cosine to the eye's axis below which a direction is taken to leave any picture
 BEYOND_PX = f32(1e6)
+LEVEL2 = f32(1e-6)          # squared sine of the elevation below which a direction lies on the surface: 1e-6 of its light
 _FULL = ~np.uint64(0)
 
 
@@ -68,13 +69,14 @@ def slice_of(viewer, side, normal):
 def share_below(a, v, s, end):
     """Share in [0, 1] of an open slice between its end on the negative side and the direction (v, s), which has any length.
 
-    Below the surface it is `end`: 1 for what was looked for on the positive side, 0 on the negative one.
+    On or below the surface it is `end`: 1 for what was looked for on the positive side, 0 on the negative one.
     """
     inv2, t = ONE / max(v * v + s * s, TINY), fast_atan2(s, v)
     f = QUARTER * (a.cos_g - ((v * v - s * s) * a.cos_g + TWO * v * s * a.sin_g) * inv2 + TWO * t * a.sin_g)
     f = f if t >= ZERO else -f
     f = min(max((f - a.start) * a.rcp_open, ZERO), ONE)
-    return f if v * a.n_v + s * a.n_s > ZERO else end
+    height = v * a.n_v + s * a.n_s
+    return f if height * abs(height) * a.rcp_n2 * inv2 > LEVEL2 else end
 
 
 @device_jit

@@ -153,7 +153,7 @@ def test_point_off_the_middle_of_a_pit_sees_the_disk_that_is_its_sky():
 
 
 def test_bottom_of_a_trench():
-    w = 1.0
+    w = 51 * 12 / 601                                        # its edges lie between two pixels
     frame = height_frame(lambda x, y: np.where(np.abs(x) < w / 2, -w / 2, 0.0), 601, 6.0)
     wanted = (w / 2) / math.hypot(w / 2, w / 2)
     assert abs(middle(cosine(frame)) - wanted) <= 0.01       # edges half a pixel of 25 off, ends at 12 widths

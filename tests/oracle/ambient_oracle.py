@@ -17,7 +17,6 @@ from rtgi_addon.core.transforms import Camera, Projection, normalized
 from tests.plane_frames import looking
 
 ANGLES = 360                # of a half circle in which a slice's directions are summed
-STEP_PX = 0.2               # of the walk along a line of the screen
 
 
 CAMERAS = ("plain", "shifted", "orthographic")
@@ -42,10 +41,31 @@ def to_viewer(frame: Frame, point: np.ndarray) -> np.ndarray:
     return normalized(frame.camera.position_ws - point)
 
 
-def seen_by(frame: Frame, column: float, row: float) -> tuple[np.ndarray, bool]:
-    """(point that the pixel around (column, row) sees, whether it sees one)."""
-    i, j = int(math.floor(row)), int(math.floor(column))
-    return frame.gbuffer.position_ws[i, j].astype(float), bool(frame.gbuffer.mask[i, j])
+def seen_along(frame: Frame, start: np.ndarray, line: np.ndarray, length: float) -> list[np.ndarray]:
+    """Points that the picture shows where a line of the screen crosses columns of pixel centres, or rows if it meets more.
+
+    Such a point lies between two pixels, on the straight line through what they see; beside the sky it lies far off.
+    """
+    height, width = frame.gbuffer.shape
+    camera, depth = frame.camera, frame.gbuffer.depth.astype(float)
+    is_parallel = camera.projection is Projection.ORTHOGRAPHIC
+    out = []
+    for n in range(1, int(length * np.abs(line).max() + 0.5) + 1):
+        column, row = start + n / np.abs(line).max() * line - 0.5
+        if min(column, row) < -1e-6 or column > width - 1 + 1e-6 or row > height - 1 + 1e-6:
+            break
+        j0, i0 = int(column + 1e-6), int(row + 1e-6)
+        j1, i1 = min(j0 + 1, width - 1), min(i0 + 1, height - 1)
+        first, second, part = depth[i0, j0], depth[i0, j1], column - j0
+        if abs(line[0]) >= abs(line[1]):
+            first, second, part = depth[i0, j0], depth[i1, j0], row - i0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = (1 - part) * first + part * second if is_parallel else 1 / ((1 - part) / first + part / second)
+        if np.isfinite(z):
+            x, y = camera.left + (column + 0.5) * camera.pixel_size[0], camera.top - (row + 0.5) * camera.pixel_size[1]
+            scale = 1.0 if is_parallel else z
+            out.append(camera.world_from_view[:3, :3] @ [x * scale, y * scale, -z] + camera.world_from_view[:3, 3])
+    return out
 
 
 def line_of(frame: Frame, point: np.ndarray, side: np.ndarray) -> np.ndarray:
@@ -78,8 +98,8 @@ def sector_visibility(frame: Frame, i: int, j: int, radius: float, thickness: fl
                       slices: int) -> tuple[float, np.ndarray]:
     """(cosine-weighted visibility of pixel (i, j), its mean open direction times that) by slices around the viewer.
 
-    A direction of a slice is closed where it enters a sheet: a point seen on the slice's line, moved into the slice along
-    the surface of (i, j), and what lies up to `thickness` behind it on the camera's ray, inside the sphere of `radius`.
+    A direction of a slice is closed where it enters a sheet: a point seen on the slice's line and what lies up to
+    `thickness` behind it on the camera's ray, inside the sphere of `radius`.
     Slices weigh what of their taps lies in the picture, for taps at distances (on + on^2) / 2 of the way to the rim.
     """
     p, n = frame.gbuffer.position_ws[i, j].astype(float), frame.gbuffer.normal_ws[i, j].astype(float)
@@ -100,13 +120,11 @@ def sector_visibility(frame: Frame, i: int, j: int, radius: float, thickness: fl
             line = line_of(frame, p, way * side)
             reach, end = farthest_px(frame, p, viewer, way * side, radius), exit_of(frame, start, line)
             known += (math.sqrt(0.25 + 2 * min(1.0, end / reach)) - 0.5) / 2
-            for px in np.arange(1.0, min(reach, end), STEP_PX):
-                q, is_surface = seen_by(frame, *(start + px * line))
-                if not is_surface or np.linalg.norm(q - p) >= radius:
-                    continue
+            for q in seen_along(frame, start, line, min(reach, end)):
                 d = q - p
+                if np.linalg.norm(d) >= radius:
+                    continue
                 flat = np.array([d @ viewer, d @ side])
-                flat += (d @ n - flat @ n_p) / (n_p @ n_p) * n_p
                 ray = np.array([-1.0, 0.0])
                 if frame.camera.projection is Projection.PERSPECTIVE:
                     ray = normalized(flat - [np.linalg.norm(p - frame.camera.position_ws), 0.0], (0.0, 0.0))
@@ -130,8 +148,7 @@ def published_visibility(frame: Frame, i: int, j: int, radius: float, bias: floa
                          directions: int) -> float:
     """Visibility of pixel (i, j) by horizons: 1 - 1 / (2 pi) sum (sin h_m - sin h_{m-1}) W_m dtheta (Bavoil et al. 2008).
 
-    Elevations over the view's XY plane, along evenly turned lines of the image plane. A point seen counts where the line
-    passes its pixel, moved there along the tangent plane.
+    Elevations over the view's XY plane, along evenly turned lines of the image plane.
     """
     to_view = frame.camera.view_from_world
     g, camera = frame.gbuffer, frame.camera
@@ -159,12 +176,8 @@ def published_visibility(frame: Frame, i: int, j: int, radius: float, bias: floa
         tangent = on_plane(start + 1e-4 * line, 0.0) - p
         horizon = math.sin(math.atan2(tangent[2], np.hypot(tangent[0], tangent[1])) + bias)
         closed = 0.0
-        for px in np.arange(1.0, min(reach, end), STEP_PX):
-            place = start + px * line
-            q, is_surface = seen_by(frame, *place)
-            if not is_surface:
-                continue
-            d = on_plane(place, n @ (to_view[:3, :3] @ q + to_view[:3, 3] - p)) - p
+        for q in seen_along(frame, start, line, min(reach, end)):
+            d = to_view[:3, :3] @ q + to_view[:3, 3] - p
             r = np.linalg.norm(d)
             if r < radius and d[2] / r > horizon:
                 closed += (d[2] / r - horizon) * (1 - (r / radius)**2 if has_falloff else 1.0)
