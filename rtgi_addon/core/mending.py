@@ -55,11 +55,13 @@ def mend_gbuffer(g: GBuffer) -> tuple[GBuffer, dict[str, int]]:
         lost = {"depth": bad_depth}
         if not _is_sound(g.position_ws, LARGEST_M):
             lost["position"] = mask & ~(np.abs(g.position_ws) <= LARGEST_M).all(-1)
-        if not (is_unit | ~mask).all():
+        if not (is_unit | ~mask).all() or not np.isfinite(length2).all():
             has_direction = (length2 > SHORTEST_NORMAL**2) & (length2 < LARGEST_M**2)
             lost["normal"] = mask & ~has_direction
             scale = np.where(is_unit | ~has_direction, 1, 1 / np.sqrt(np.where(has_direction, length2, 1)))
-            changes["normal_ws"] = (g.normal_ws * scale[..., None]).astype(np.float32)
+            normal_ws = (g.normal_ws * scale[..., None]).astype(np.float32)
+            normal_ws[~mask & ~has_direction] = (0.0, 0.0, 1.0)      # nothing is seen there, but filters pass over it
+            changes["normal_ws"] = normal_ws
     found |= {name: int(np.count_nonzero(where)) for name, where in lost.items() if where.any()}
     for name, nothing, largest in (("albedo", 0.0, LARGEST_LIGHT), ("specular", 0.0, LARGEST_LIGHT), ("roughness", 1.0, 1e3),
                                    ("emission", 0.0, LARGEST_LIGHT)):
