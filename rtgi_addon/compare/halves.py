@@ -30,12 +30,13 @@ class Reference:
     """Two independent renders of one view.
 
     half_a, half_b: {pass name of `PASSES`: (H, W, C) float32, row 0 at the top}; `samples` a pixel of each half, 0 where
-    a file does not tell.
+    a file does not tell; `source` the file that it was read from or is kept in, if there is one.
     """
 
     half_a: dict[str, np.ndarray]
     half_b: dict[str, np.ndarray]
     samples: int = 0
+    source: str = ""
 
     @property
     def mask(self) -> np.ndarray:
@@ -65,6 +66,16 @@ class Reference:
         if what == "picture":
             return half["Combined"][..., :3]
         return sum(half[light] * half[colour] for light, colour in PARTS[what])
+
+    def joined(self, other: Reference) -> Reference:
+        """The mean of two references of one view from other seeds, each half weighted by its samples."""
+        total = self.samples + other.samples
+        share = np.float32(other.samples / total)
+
+        def mean(mine: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+            return {name: mine[name] + share * (theirs[name] - mine[name]) for name in PASSES}
+
+        return Reference(mean(self.half_a, other.half_a), mean(self.half_b, other.half_b), total)
 
     def save(self, path: Path) -> None:
         """Write an uncompressed .npz with keys such as "a|Diffuse Indirect"."""

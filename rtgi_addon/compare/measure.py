@@ -35,15 +35,20 @@ def part_of(transports: dict[Transport, np.ndarray], part: str, albedo: np.ndarr
 
 
 def picture_errors(combined: np.ndarray, reference: Reference) -> dict[str, float]:
-    """Errors of a whole picture (H, W, 3 or 4): block, nrmse, energy; relative, over surfaces."""
+    """Errors of a whole picture (H, W, 3 or 4) over surfaces, by the names of docs/comparison.md."""
     return _errors(combined[..., :3], *reference.halves("picture"), reference.mask)
 
 
 def _errors(test: np.ndarray, half_a: np.ndarray, half_b: np.ndarray, mask: np.ndarray) -> dict[str, float]:
     mean = (half_a.astype(np.float64) + half_b) / 2
+    scale, scaled_block = metrics.after_best_scale(test, mean, mask)
     return {"block": metrics.block_relative_l1(test, mean, mask),
             "nrmse": metrics.noise_free_nrmse(test, half_a, half_b, mask),
+            "relmse": metrics.smoothed_relmse(test, half_a, half_b, mask),
+            "block_95": metrics.block_percentile(test, mean, mask),
             "energy": metrics.energy_ratio(test, mean, mask),
+            "luminance_bias": metrics.luminance_bias(test, mean, mask),
+            "best_scale": scale, "block_after_scale": scaled_block,
             "within_1_percent": metrics.share_within(test, mean, mask)}
 
 
@@ -76,3 +81,14 @@ def noise_of(reference: Reference) -> dict[str, float]:
         if reference.mean(part)[mask].sum() > BLACK * light_of_picture:
             noise[part] = metrics.block_noise(*reference.halves(part), mask)
     return noise
+
+
+def floors_of(reference: Reference) -> dict[str, float]:
+    """The picture's noise floors: what the noise of the reference's mean alone makes of an error, by the error's name.
+
+    "block" holds for errors that have the reference's noise in them, "nrmse" and "relmse" stand beside errors freed of it:
+    far below the floor such an error is an estimate with a spread of its own.
+    """
+    halves, mask = reference.halves("picture"), reference.mask
+    return {"block": metrics.block_noise(*halves, mask), "nrmse": metrics.nrmse_noise(*halves, mask),
+            "relmse": metrics.smoothed_relmse_noise(*halves, mask)}

@@ -7,8 +7,9 @@ The reference is two independent noisy halves A and B of equal samples; their me
 its noise. For a picture T that knows nothing of them the mean of (T - A)(T - B) is free of that noise, since its
 expectation is the squared error against the truth [1]_.
 
-No metric stands alone: `energy_ratio` sees a picture that is too bright and is blind to where, `ssim` sees structure and
-hardly brightness, `block_relative_l1` sees what is left after the eye has averaged fine noise.
+No metric stands alone: `luminance_bias` sees a picture that is too bright and is blind to where, `ssim` sees structure and
+hardly brightness, `block_relative_l1` sees what is left after the eye has averaged fine noise, `after_best_scale` what is
+left of that when the brightness is put right. docs/comparison.md says how to read them.
 
 References
 ----------
@@ -25,7 +26,10 @@ from ..errors import InputError
 
 BLOCK_PX = 8
 FIREFLY = 20.0              # values above this many means of the reference are cut in `noise_free_nrmse`
-DARK = 0.1                  # `share_within` forgives the error that is right for this share of the mean
+DARK = 0.1                  # a pixel or block darker than this share of the mean is measured against this share
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_SMOOTH_PX = 9              # window of the denominator of `smoothed_relmse`
+_SMOOTH_FLOOR = 0.01        # of the mean luminance, so that exposure and units change nothing
 _SSIM_WINDOW_PX = 7
 _SSIM_C1, _SSIM_C2 = 0.01**2, 0.03**2
 
@@ -68,6 +72,13 @@ def block_sums(image: np.ndarray, mask: np.ndarray, block: int = BLOCK_PX) -> np
     return padded.reshape(rows, block, columns, block, channels).sum((1, 3))
 
 
+def window_sums(image: np.ndarray, size: int) -> np.ndarray:
+    """Sums of (H, W) over the odd window of `size` px around each pixel, cut at the edges."""
+    half = size // 2
+    total = np.pad(image, ((half + 1, half), (half + 1, half))).cumsum(0).cumsum(1)
+    return total[size:, size:] - total[:-size, size:] - total[size:, :-size] + total[:-size, :-size]
+
+
 def block_relative_l1(test: np.ndarray, reference: np.ndarray, mask: np.ndarray, block: int = BLOCK_PX) -> float:
     """sum |T_b - R_b| / sum R_b over the sums T_b, R_b of blocks of pixels: the headline number.
 
@@ -101,24 +112,92 @@ def energy_ratio(test: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> f
     return float(test[mask].sum() / _positive(reference[mask].sum()))
 
 
+def luminance_of(image: np.ndarray) -> np.ndarray:
+    """(H, W) luminance of (H, W, 3) linear Rec. 709; (H, W) and (H, W, 1) are luminance already."""
+    image = np.atleast_3d(image)
+    return image @ LUMINANCE if image.shape[2] == 3 else image.mean(-1)
+
+
+def luminance_bias(test: np.ndarray, reference: np.ndarray, mask: np.ndarray) -> float:
+    """mean luminance of T over that of R, less one: +0.02 is 2 % too bright. Blind to where the light is."""
+    test, reference = _checked(mask, test, reference)
+    return float(luminance_of(test)[mask].mean() / _positive(luminance_of(reference)[mask].mean())) - 1
+
+
+def block_percentile(test: np.ndarray, reference: np.ndarray, mask: np.ndarray, share: float = 0.95,
+                     block: int = BLOCK_PX) -> float:
+    """Relative error that `share` of the blocks stay below: how bad the bad places are.
+
+    A block's error is sum over channels of |T_b - R_b| / R_b; a block darker than `DARK` means is held against that.
+    Blocks with fewer than half of their pixels on surfaces are left out.
+    """
+    test, reference = _checked(mask, test, reference)
+    counted = block_sums(mask.astype(np.float64), mask, block)[..., 0]
+    full = counted >= min(block**2, counted.max()) / 2
+    expected = block_sums(reference, mask, block)
+    error = np.abs(block_sums(test, mask, block) - expected).sum(-1)[full]
+    floor = DARK * _positive(reference[mask].sum(-1).mean()) * counted[full]
+    return float(np.quantile(error / np.maximum(expected.sum(-1)[full], floor), share))
+
+
+def after_best_scale(test: np.ndarray, reference: np.ndarray, mask: np.ndarray,
+                     block: int = BLOCK_PX) -> tuple[float, float]:
+    """(s, `block_relative_l1` of s T): the scale that fits the block sums best in least squares, and what it leaves.
+
+    Tells calibration from structure: where the error falls to little, only the brightness was wrong. A black picture has
+    the scale 1, since none mends it.
+    """
+    test, reference = _checked(mask, test, reference)
+    t, r = block_sums(test, mask, block), block_sums(reference, mask, block)
+    power = float((t * t).sum())
+    scale = float((t * r).sum()) / power if power > 0 else 1.0
+    return scale, float(np.abs(scale * t - r).sum() / _positive(r.sum()))
+
+
+def _cut(mask: np.ndarray, firefly: float, *images: np.ndarray) -> tuple[list[np.ndarray], float]:
+    """The images with values above `firefly` means of the last two cut, and that mean."""
+    mean = _positive((images[-2][mask].mean() + images[-1][mask].mean()) / 2)
+    return [np.minimum(image, firefly * mean) for image in images], mean
+
+
+def _smooth_squared(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(H, W) square of the luminance of (A + B)/2, averaged over masked pixels of a window, never below the floor."""
+    luminance = luminance_of((a + b) / 2) * mask
+    count = np.maximum(window_sums(mask.astype(np.float64), _SMOOTH_PX), 1)
+    return (np.maximum(window_sums(luminance, _SMOOTH_PX) / count, 0) + _SMOOTH_FLOOR * luminance[mask].mean()) ** 2
+
+
+def smoothed_relmse(test: np.ndarray, half_a: np.ndarray, half_b: np.ndarray, mask: np.ndarray,
+                    firefly: float = FIREFLY) -> float:
+    """mean (T - A)(T - B) / (box(luminance of R) + 1 % of its mean)^2: squared relative error without R's noise.
+
+    The denominator is smooth, since that of a single noisy pixel would rule the sum where it is near black. Cut as in
+    `noise_free_nrmse`; 0 where noise hides the error.
+    """
+    (t, a, b), _ = _cut(mask, firefly, *_checked(mask, test, half_a, half_b))
+    return max(0.0, float((((t - a) * (t - b)).mean(-1) / _smooth_squared(a, b, mask))[mask].mean()))
+
+
+def smoothed_relmse_noise(half_a: np.ndarray, half_b: np.ndarray, mask: np.ndarray, firefly: float = FIREFLY) -> float:
+    """The noise floor of `smoothed_relmse`: what the noise of (A + B)/2 alone would make of it."""
+    (a, b), _ = _cut(mask, firefly, *_checked(mask, half_a, half_b))
+    return float((((a - b) ** 2).mean(-1) / 4 / _smooth_squared(a, b, mask))[mask].mean())
+
+
 def noise_free_nrmse(test: np.ndarray, half_a: np.ndarray, half_b: np.ndarray, mask: np.ndarray,
                      firefly: float = FIREFLY) -> float:
     """sqrt(mean (T - A)(T - B)) / mean R: error per pixel without the reference's noise, 0 where noise hides it.
 
     Values above `firefly` means are cut in all three images, as a few fireflies of the reference would decide the sum.
     """
-    test, half_a, half_b = _checked(mask, test, half_a, half_b)
-    mean = _positive((half_a[mask].mean() + half_b[mask].mean()) / 2)
-    t, a, b = (np.minimum(image[mask], firefly * mean) for image in (test, half_a, half_b))
-    return math.sqrt(max(0.0, float(((t - a) * (t - b)).mean()))) / mean
+    (t, a, b), mean = _cut(mask, firefly, *_checked(mask, test, half_a, half_b))
+    return math.sqrt(max(0.0, float(((t - a) * (t - b))[mask].mean()))) / mean
 
 
 def nrmse_noise(half_a: np.ndarray, half_b: np.ndarray, mask: np.ndarray, firefly: float = FIREFLY) -> float:
     """Root mean square noise of the mean of the halves over the mean, cut as `noise_free_nrmse` cuts."""
-    half_a, half_b = _checked(mask, half_a, half_b)
-    mean = _positive((half_a[mask].mean() + half_b[mask].mean()) / 2)
-    a, b = (np.minimum(image[mask], firefly * mean) for image in (half_a, half_b))
-    return math.sqrt(float(((a - b) ** 2).mean()) / 4) / mean
+    (a, b), mean = _cut(mask, firefly, *_checked(mask, half_a, half_b))
+    return math.sqrt(float(((a - b) ** 2)[mask].mean()) / 4) / mean
 
 
 def share_within(test: np.ndarray, reference: np.ndarray, mask: np.ndarray, relative: float = 0.01,

@@ -244,6 +244,17 @@ def render_reference(scene: bpy.types.Scene, samples: int = 256, size: tuple[int
     return Reference(*halves, samples)
 
 
+def linked_files() -> list[tuple[str, int, int]]:
+    """(path, bytes, time of change in ns) of the images, libraries and caches that the open file reads from elsewhere."""
+    found = []
+    for name in sorted(set(bpy.utils.blend_paths(absolute=True, packed=False))):
+        path = Path(name)
+        if path.is_file():
+            status = path.stat()
+            found.append((name, status.st_size, status.st_mtime_ns))
+    return found
+
+
 def has_denoiser() -> bool:
     """Whether this Blender was built with OpenImageDenoise; some distributions' builds are not."""
     import _cycles

@@ -15,13 +15,12 @@ import numpy as np
 
 from ..errors import InputError
 from ..imageio import replacing
+from .metrics import DARK, luminance_of, window_sums
 
 ERROR_SCALE = 0.5           # relative error at the top of the error map's scale
 ERROR_WINDOW_PX = 5
-_DARK = 0.1                 # pixels darker than this share of the mean are measured against it
 _GAP_PX = 6
 _BACKGROUND = 24
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 # OKLab to linear sRGB (Ottosson 2020)
 _LMS_FROM_LAB = np.array([[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728],
                           [1, -0.0894841775, -1.2914855480]])
@@ -70,11 +69,7 @@ def colour_table() -> np.ndarray:
 
 def _window_means(image: np.ndarray, size: int) -> np.ndarray:
     """Means of (H, W) over the odd window of `size` px around each pixel, cut at the edges."""
-    half = size // 2
-    total = np.pad(image, ((half + 1, half), (half + 1, half))).cumsum(0).cumsum(1)
-    count = np.pad(np.ones_like(image), ((half + 1, half), (half + 1, half))).cumsum(0).cumsum(1)
-    sums = [t[size:, size:] - t[:-size, size:] - t[size:, :-size] + t[:-size, :-size] for t in (total, count)]
-    return sums[0] / sums[1]
+    return window_sums(image, size) / window_sums(np.ones_like(image), size)
 
 
 def relative_error(test: np.ndarray, reference: np.ndarray, window_px: int = ERROR_WINDOW_PX) -> np.ndarray:
@@ -82,8 +77,8 @@ def relative_error(test: np.ndarray, reference: np.ndarray, window_px: int = ERR
 
     The window takes out most of the reference's noise, which would else be all that the map shows.
     """
-    t, r = (np.asarray(image, np.float64)[..., :3] @ _LUMINANCE for image in (test, reference))
-    floor = _DARK * r.mean()
+    t, r = (luminance_of(np.asarray(image, np.float64)[..., :3]) for image in (test, reference))
+    floor = DARK * r.mean()
     return np.abs(_window_means(t - r, window_px)) / np.maximum(_window_means(r, window_px), floor if floor > 0 else 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: chosen at registration, read when the first kernel is loaded. Imports no numba."""
+"""Where compiled kernels and references are kept: chosen at registration, read when needed. Imports no numba."""
 
 from __future__ import annotations
 
@@ -22,3 +22,8 @@ def cache_root() -> Path:
         return _root
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "rtgi" / "numba"
+
+
+def references_root() -> Path:
+    """Where references by Cycles are kept, in the cache folder, so that an extension may write to it; need not exist yet."""
+    return cache_root() / "references"

@@ -46,12 +46,20 @@ COMPARATORS = {
     "share_within": lambda t, r, m: 1 - metrics.share_within(t, r, m),
     "ssim": lambda t, r, m: 1 - metrics.ssim(display(t), display(r)),
     "energy_ratio": lambda t, r, m: abs(metrics.energy_ratio(t, r, m) - 1),
+    "luminance_bias": lambda t, r, m: abs(metrics.luminance_bias(t, r, m)),
+    "block_percentile": lambda t, r, m: metrics.block_percentile(t, r, m),
+    "smoothed_relmse": lambda t, r, m: metrics.smoothed_relmse(t, r, r, m),
+    "best_scale": lambda t, r, m: abs(metrics.after_best_scale(t, r, m)[0] - 1),
+    "block_after_scale": lambda t, r, m: metrics.after_best_scale(t, r, m)[1],
 }
 # what 2 % make by definition, less rounding; SSIM hardly sees brightness, but more than rounding
 SEES_GAIN = {"block_relative_l1": 0.0199, "relative_l1": 0.0199, "noise_free_nrmse": 0.0199, "energy_ratio": 0.0199,
-             "share_within": 0.99, "ssim": 1e-5}
+             "share_within": 0.99, "ssim": 1e-5, "luminance_bias": 0.0199, "block_percentile": 0.0199,
+             "smoothed_relmse": 3e-4,                                       # 0.02^2 where the picture is even
+             "best_scale": 0.0195}                                          # 1/1.02
 # less than half of what this picture's edges give
-SEES_SHIFT = {"block_relative_l1": 0.01, "relative_l1": 0.02, "noise_free_nrmse": 0.1, "share_within": 0.5, "ssim": 0.02}
+SEES_SHIFT = {"block_relative_l1": 0.01, "relative_l1": 0.02, "noise_free_nrmse": 0.1, "share_within": 0.5, "ssim": 0.02,
+              "block_percentile": 0.05, "smoothed_relmse": 0.01, "block_after_scale": 0.01}
 
 
 @pytest.mark.parametrize("name", COMPARATORS)
@@ -59,7 +67,7 @@ def test_a_perfect_picture_has_no_error(name, truth, mask):
     assert COMPARATORS[name](truth, truth, mask) < EXACT
 
 
-@pytest.mark.parametrize("name", COMPARATORS)
+@pytest.mark.parametrize("name", SEES_GAIN)
 def test_two_percent_gain_is_seen(name, truth, mask):
     assert COMPARATORS[name](truth * GAIN, truth, mask) > SEES_GAIN[name]
 
@@ -69,9 +77,71 @@ def test_shift_by_one_pixel_is_seen(name, truth, mask):
     assert COMPARATORS[name](np.roll(truth, SHIFT_PX, 1), truth, mask) > SEES_SHIFT[name]
 
 
-def test_energy_ratio_alone_would_miss_a_shift(truth):
+def test_every_comparator_sees_a_gain_or_a_shift():
+    assert set(SEES_GAIN) | set(SEES_SHIFT) == set(COMPARATORS)
+
+
+@pytest.mark.parametrize("name", ["energy_ratio", "luminance_bias"])
+def test_brightness_alone_would_miss_a_shift(name, truth):
     everywhere = np.ones(truth.shape[:2], bool)
-    assert COMPARATORS["energy_ratio"](np.roll(truth, SHIFT_PX, 1), truth, everywhere) < EXACT
+    assert COMPARATORS[name](np.roll(truth, SHIFT_PX, 1), truth, everywhere) < EXACT
+
+
+def test_error_after_the_best_scale_forgives_a_gain_and_names_it(truth, mask):
+    scale, left = metrics.after_best_scale(truth * GAIN, truth, mask)
+    assert scale == pytest.approx(1 / GAIN, abs=EXACT) and left < EXACT
+
+
+def test_no_scale_mends_a_black_picture(truth, mask):
+    assert metrics.after_best_scale(np.zeros_like(truth), truth, mask) == (1.0, 1.0)
+
+
+def test_luminance_bias_is_signed_and_weighs_colours_as_the_eye_does():
+    reference, mask = np.ones((8, 8, 3)), np.ones((8, 8), bool)
+    green, blue = reference.copy(), reference.copy()
+    green[..., 1], blue[..., 2] = 0.9, 0.9
+    assert metrics.luminance_bias(green, reference, mask) == pytest.approx(-0.07152, abs=EXACT)
+    assert metrics.luminance_bias(blue, reference, mask) == pytest.approx(-0.00722, abs=EXACT)
+
+
+def test_block_percentile_is_the_error_of_the_bad_places():
+    reference, mask = np.ones((80, 80, 3)), np.ones((80, 80), bool)
+    test = reference.copy()
+    test[:8] = 1.5                                           # ten blocks of a hundred
+    assert metrics.block_percentile(test, reference, mask) == pytest.approx(0.5, abs=EXACT)
+    assert metrics.block_percentile(test, reference, mask, 0.8) < EXACT
+
+
+def test_block_percentile_leaves_out_slivers_of_surface_beside_the_sky():
+    reference = np.ones((16, 16, 3))
+    test, mask = reference.copy(), np.zeros((16, 16), bool)
+    mask[:8], mask[8] = True, True                           # whole blocks, and one row of the blocks below
+    test[8] = 3.0
+    assert metrics.block_percentile(test, reference, mask) < EXACT
+
+
+def test_smoothed_relmse_does_not_change_with_exposure(truth, halves, mask):
+    a, b = halves
+    seen = metrics.smoothed_relmse(1.05 * truth, a, b, mask)
+    assert metrics.smoothed_relmse(1e4 * 1.05 * truth, 1e4 * a, 1e4 * b, mask) == pytest.approx(seen, rel=1e-9)
+
+
+def test_smoothed_relmse_does_not_see_the_noise_of_the_halves(truth, halves, mask):
+    # in the dark squares the noise is a third of the light, and the estimate of one pair of halves has a spread of 3 %
+    exact = metrics.smoothed_relmse(1.2 * truth, truth, truth, mask)
+    assert metrics.smoothed_relmse(1.2 * truth, *halves, mask) == pytest.approx(exact, rel=0.12)
+
+
+def test_smoothed_relmse_of_the_truth_is_below_its_floor(truth, halves, mask):
+    assert metrics.smoothed_relmse(truth, *halves, mask) < 0.3 * metrics.smoothed_relmse_noise(*halves, mask)
+
+
+def test_noise_floor_of_the_relmse_is_what_the_mean_of_the_halves_scores(truth, halves, mask):
+    a, b = halves
+    mean = (a + b) / 2
+    # two estimates of one variance from 8,700 values each: 2 %, doubled
+    assert metrics.smoothed_relmse_noise(a, b, mask) == pytest.approx(metrics.smoothed_relmse(mean, truth, truth, mask),
+                                                                      rel=0.06)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
