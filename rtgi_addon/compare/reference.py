@@ -262,6 +262,15 @@ def has_denoiser() -> bool:
     return bool(_cycles.with_openimagedenoise)
 
 
+def _read_render_result(scene: bpy.types.Scene, folder: Path) -> np.ndarray:
+    """The picture that was rendered last, (H, W, 4) float32, linear."""
+    path = folder / "peer.exr"
+    with _writing_exr(scene, path, False):
+        bpy.data.images["Render Result"].save_render(str(path), scene=scene)
+    channels = read_exr(path)
+    return np.stack([channels.get(c, np.ones_like(channels["R"])) for c in "RGBA"], -1).astype(np.float32)
+
+
 def render_peer(scene: bpy.types.Scene, samples: int, denoise: bool = True, repeats: int = 1,
                 size: tuple[int, int] | None = None, layer: bpy.types.ViewLayer | None = None, seed: int = SEEDS[0]) -> Peer:
     """One-bounce Cycles of few samples, denoised by OpenImageDenoise, with the seconds of a second and further frames.
@@ -274,12 +283,31 @@ def render_peer(scene: bpy.types.Scene, samples: int, denoise: bool = True, repe
           changed([*_one_bounce(scene, layer, samples, seed, denoise), *_passes(layer, ("Combined",))])):
         _render(scene, layer)
         seconds = tuple(_render(scene, layer) for _ in range(repeats))
-        path = Path(folder) / "peer.exr"
-        with _writing_exr(scene, path, False):
-            bpy.data.images["Render Result"].save_render(str(path), scene=scene)
-        channels = read_exr(path)
-    combined = np.stack([channels.get(c, np.ones_like(channels["R"])) for c in "RGBA"], -1)
-    return Peer(combined.astype(np.float32), seconds)
+        return Peer(_read_render_result(scene, Path(folder)), seconds)
+
+
+def render_eevee(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[Peer, str]:
+    """EEVEE with ray tracing on, the scene's own settings otherwise: (second frame, name of the GPU or software that drew).
+
+    Without a graphics context Blender may end the process: call it in a process of its own.
+    """
+    import gpu
+
+    layer = scene.view_layers[0]
+    engines = [item.identifier for item in type(scene.render).bl_rna.properties["engine"].enum_items]
+    # 4.5 calls the present EEVEE by this name
+    name = "BLENDER_EEVEE_NEXT" if "BLENDER_EEVEE_NEXT" in engines else "BLENDER_EEVEE"
+    with (comparable(scene, size), keeping_data(scene), tempfile.TemporaryDirectory(prefix="rtgi_peer_") as folder,
+          changed([(scene.render, "engine", name), (scene.eevee, "use_raytracing", True),
+                   *_passes(layer, ("Combined",))])):
+        _render(scene, layer)
+        seconds = _render(scene, layer)
+        combined = _read_render_result(scene, Path(folder))
+    try:
+        device = gpu.platform.renderer_get()
+    except SystemError:                          # a module of Python does not tell
+        device = ""
+    return Peer(combined, (seconds,)), device
 
 
 def scene_settings(scene: bpy.types.Scene) -> Settings:

@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..imageio import replacing
 from .halves import Reference, load_reference
 from .measure import noise_of
+from .progress import say
 
 MOST_SAMPLES = 16384        # a half: a noise level that asks for more is not reached in an afternoon
 KEPT_BYTES = 4e9            # of all references in the cache: about eighty at 640x360
@@ -22,7 +23,7 @@ _NEXT_SEEDS = 1000          # between rounds; far from the distance of the two h
 
 
 def until_quiet(render: Callable[[int, tuple[int, int]], Reference], noise: float, samples: int,
-                seeds: tuple[int, int], say: Callable[[str], None] = lambda _: None) -> Reference:
+                seeds: tuple[int, int]) -> Reference:
     """A reference whose noise (block error of the picture that it gives a perfect render) is at most `noise`.
 
     Parameters
@@ -66,8 +67,7 @@ def keep(reference: Reference, path: Path, most_bytes: float = KEPT_BYTES) -> No
 
 
 def reference_for(scene: Any, blend_path: Path | None, size: tuple[int, int], samples: int, cache: Path,
-                  given: Path | None = None, noise: float | None = None,
-                  say: Callable[[str], None] = lambda _: None) -> Reference:
+                  given: Path | None = None, noise: float | None = None) -> Reference:
     """A reference from file `given`, or `<scene>_<W>x<H>.npz` in folder `given`; else from the cache; else rendered.
 
     Kept under a hash of all that decides its picture: the .blend's bytes, frame, size, samples, noise level, seeds,
@@ -94,7 +94,7 @@ def reference_for(scene: Any, blend_path: Path | None, size: tuple[int, int], sa
         found = blender.render_reference(scene, samples, size)
     else:
         found = until_quiet(lambda count, seeds: blender.render_reference(scene, count, size, seeds=seeds), noise, samples,
-                            blender.SEEDS, say)
+                            blender.SEEDS)
     if kept is not None:
         keep(found, kept)
         found = dataclasses.replace(found, source=str(kept))
