@@ -102,6 +102,29 @@ def parse_preset(text: str) -> str:
     return text.upper()
 
 
+def parse_peers(text: str) -> tuple[list[int], bool]:
+    """"1,4,eevee" to ([1, 4], True), "none" to ([], False): sample counts of Cycles, and whether EEVEE is rendered too."""
+    words = [word.strip().lower() for word in text.split(",")]
+    if words == ["none"]:
+        return [], False
+    for word in words:
+        if word != "eevee" and not (word.isdecimal() and int(word) > 0):
+            raise InputError(f"--peers {text}: {word!r} is no count of samples; write for example 1,4,16,eevee or none")
+    return sorted({int(word) for word in words if word != "eevee"}), "eevee" in words
+
+
+def parse_noise(text: str) -> float:
+    """"1%" or "0.01" to 0.01; InputError unless it lies between 0 and 100 %."""
+    match = re.fullmatch(r"([0-9.eE+-]+)\s*(%?)", text.strip())
+    try:
+        value = float(match[1]) / (100 if match[2] else 1) if match else 0.0
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1:
+        raise InputError(f"--noise {text} is no noise level; write for example 1% or 0.01")
+    return value
+
+
 def parse_setting(text: str) -> tuple[str, str, Any]:
     """"rsm.rays=64" to ("rsm", "rays", 64); InputError for an unknown name or a value of the wrong kind."""
     match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", text)
@@ -443,14 +466,16 @@ def run_compare(words: argparse.Namespace) -> int:
     size = parse_size(words.size) if words.size else None
     preset = parse_preset(words.preset) if words.preset else None
     techniques = parse_techniques(words.techniques) if words.techniques else None
+    peers, eevee = parse_peers(words.peers)
+    noise = parse_noise(words.noise) if words.noise else None
     if words.scene is not None:
         refuse_newer(Path(words.scene), (sys.maxsize, 0))
     bpy = _blender()
     check_scene(open_scene(bpy, words.scene))
     from .compare.run import compare_scene
 
-    compare_scene(words.scene, words.output, techniques, words.samples, size, preset, words.threads or 0,
-                  reference=words.reference)
+    compare_scene(words.scene, words.output, techniques, words.samples, size, preset, words.threads or 0, peers,
+                  words.reference, noise, eevee, words.flip, words.cache)
     return DONE
 
 
@@ -513,15 +538,24 @@ def _add_render(commands: Any) -> None:
 def _add_compare(commands: Any) -> None:
     parser = commands.add_parser(
         "compare", help="error against Cycles one-bounce", formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Render a scene with RTGI, with each technique alone and with Cycles one-bounce. Prints a table of\n"
-                    "times and errors; writes DIR/compare.png (RTGI, Cycles, error map side by side) and DIR/compare.json.",
-        epilog="The reference is kept in DIR/references and used again while the scene stays the same.")
+        description="Render a scene with RTGI, with each technique alone, with Cycles one-bounce and with EEVEE. Prints a\n"
+                    "table of times and errors; writes DIR/compare.html, a report to read in a browser, the same as\n"
+                    "compare.csv and compare.json, and the pictures.",
+        epilog="The reference is kept in the cache and used again while the scene, its frame and its linked files stay the\n"
+               "same. docs/comparison.md says how to read the numbers.")
     parser.add_argument("scene", nargs="?", metavar="SCENE.blend", help="the scene; left out, the file open in Blender")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for the results")
     parser.add_argument("--techniques", metavar="LIST", help="rsm, several with commas, or auto")
     parser.add_argument("--preset", metavar="NAME", help="draft, balanced or quality")
     parser.add_argument("--samples", type=_count, default=64, metavar="N",
                         help="samples a pixel of each of the reference's two halves; 64 if left out")
+    parser.add_argument("--noise", metavar="LEVEL",
+                        help="go on from --samples until the reference's noise is below this, such as 1%%")
+    parser.add_argument("--peers", default="1,2,4,8,16,eevee", metavar="LIST",
+                        help="samples of Cycles renders to stand beside, without and with its denoiser, eevee, or none; "
+                             "1,2,4,8,16,eevee if left out")
+    parser.add_argument("--cache", type=Path, metavar="DIR", help="folder that keeps references; the user's own if left out")
+    parser.add_argument("--flip", action="store_true", help="measure FLIP too, by its library (pip install flip-evaluator)")
     _add_measured(parser, None)
     parser.set_defaults(run=run_compare)
 

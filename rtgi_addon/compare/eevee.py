@@ -47,7 +47,8 @@ def render_eevee(blend_path: Path, frame: int, size: tuple[int, int], threads: i
         request = json.dumps({"path": str(blend_path.resolve()), "frame": frame, "size": list(size), "threads": threads,
                               "out": str(out)})
         code = f"import importlib; importlib.import_module({__name__!r}).child_main({request!r})"
-        command = [binary, "-b", "--python-exit-code", "1", "--python-expr", code] if binary else [sys.executable, "-c", code]
+        blender = [binary, "-b", "--python-exit-code", "1", "--python-expr", code]
+        command = blender if binary else [sys.executable, "-c", code]
         root = str(Path(__file__).resolve().parents[len(__name__.split(".")) - 1])
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
         try:

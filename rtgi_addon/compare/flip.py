@@ -41,7 +41,8 @@ def mean_flip(test: np.ndarray, reference: np.ndarray, python: str = sys.executa
     """
     for name, image in (("test image", test), ("reference", reference)):
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape != test.shape:
-            raise InputError(f"FLIP needs two (H, W, 3) uint8 pictures of one size; the {name} is {image.shape} {image.dtype}")
+            raise InputError(f"FLIP needs two (H, W, 3) uint8 pictures of one size; the {name} is {image.shape} "
+                             f"{image.dtype}")
     with tempfile.TemporaryDirectory(prefix="rtgi_flip_") as folder:
         paths = [Path(folder) / "test.npy", Path(folder) / "reference.npy"]
         for path, image in zip(paths, (test, reference), strict=True):

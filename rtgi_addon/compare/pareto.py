@@ -61,7 +61,8 @@ def crossing(own: Point, curve: Sequence[Point], name: str) -> str:
     needed, at_once = seconds_for_error(ordered, own.error), error_at_seconds(ordered, own.seconds)
     mine = f"{own.name}'s error of {100 * own.error:.2g} %"
     if needed is not None and needed >= own.seconds:
-        said = f"{name} comes down to {mine} after {needed:.2g} s, {_times(needed / own.seconds)} times its {own.seconds:.2g} s"
+        said = (f"{name} comes down to {mine} after {needed:.2g} s, {_times(needed / own.seconds)} times its "
+                f"{own.seconds:.2g} s")
         return said + ("." if at_once is None else f"; in {own.name}'s time it is at {100 * at_once:.2g} %.")
     if needed is not None:
         said = f"{name} comes down to {mine} after {needed:.2g} s, sooner than {own.name} ({own.seconds:.2g} s)"

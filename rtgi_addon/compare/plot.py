@@ -20,6 +20,7 @@ _CURVE_SHAPES = ("square", "diamond")
 _OWN = "var(--own, #2a5bd7)"
 _OTHER = "var(--other, #7b6fa8)"
 _INK, _FAINT = "var(--ink, #222)", "var(--line, #ccc)"
+_HALO = 'stroke="var(--card, #fff)" stroke-width="3" paint-order="stroke" stroke-linejoin="round"'
 _LABEL_PX = 7.0             # width of a letter of the labels, a generous mean
 
 
@@ -64,13 +65,13 @@ def _placed(wanted: Sequence[tuple[float, float, str]], taken: list[tuple[float,
     parts = []
     for x, y, text in wanted:
         width = _LABEL_PX * len(text)
-        for dx, dy in ((10, 4), (-10 - width, 4), (-width / 2, -11), (-width / 2, 20), (8, -9), (8, 18),
-                       (-8 - width, -9), (-8 - width, 18)):
+        for dx, dy in ((8, -9), (-8 - width, 18), (8, 18), (-8 - width, -9), (-width / 2, -11), (-width / 2, 20), (10, 4),
+                       (-10 - width, 4)):
             box = (x + dx, y + dy - 11, x + dx + width, y + dy + 3)
-            inside = _LEFT <= box[0] and box[2] <= _WIDTH - _RIGHT and _TOP <= box[1] and box[3] <= _HEIGHT - _BOTTOM
+            inside = box[0] >= _LEFT and box[2] <= _WIDTH - _RIGHT and box[1] >= _TOP and box[3] <= _HEIGHT - _BOTTOM
             if inside and all(box[2] < b[0] or box[0] > b[2] or box[3] < b[1] or box[1] > b[3] for b in taken):
                 taken.append(box)
-                parts.append(f'<text x="{x + dx:.1f}" y="{y + dy:.1f}" fill="{_INK}">{escape(text)}</text>')
+                parts.append(f'<text x="{x + dx:.1f}" y="{y + dy:.1f}" fill="{_INK}" {_HALO}>{escape(text)}</text>')
                 break
     return parts
 
@@ -90,7 +91,8 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
                      f'{value:g}</text>')
     for value in y.ticks():
         parts.append(f'<path d="M{_LEFT} {y(value):.1f}H{_WIDTH - _RIGHT}" stroke="{_FAINT}" fill="none"/>'
-                     f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end" fill="{_INK}">{100 * value:g} %</text>')
+                     f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end" fill="{_INK}">'
+                     f'{100 * value:g} %</text>')
     parts.append(f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 10}" text-anchor="middle" fill="{_INK}">'
                  'seconds a frame</text>'
                  f'<text transform="translate(16 {(_TOP + _HEIGHT - _BOTTOM) / 2}) rotate(-90)" text-anchor="middle" '
@@ -121,5 +123,14 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
         parts.append(_marker(shape, *at, colour, f"{point.name}: {point.seconds:.3g} s, {100 * point.error:.3g} %"))
         taken.append((at[0] - 7, at[1] - 7, at[0] + 7, at[1] + 7))
         wanted.append((*at, _label(point)))
+    for number, name in enumerate([*curves, "Pareto front"]):
+        row = _TOP + 14 + 20 * number
+        if name in curves:
+            parts.append(_marker(_CURVE_SHAPES[number % 2], _WIDTH - 255, row, _CURVE_COLOURS[number % 2], name))
+        else:
+            parts.append(f'<path d="M{_WIDTH - 265} {row}h20" stroke="{_INK}" stroke-opacity=".35" stroke-width="6"/>')
+        said = f"{name}, samples beside it" if name in curves else name
+        parts.append(f'<text x="{_WIDTH - 240}" y="{row + 4}" fill="{_INK}" {_HALO}>{escape(said)}</text>')
+    taken.append((_WIDTH - 270, _TOP, _WIDTH, _TOP + 20 * (len(curves) + 1)))
     parts += _placed(wanted, taken)
     return "\n".join([*parts, "</svg>"])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from ..core.cache_root import cache_root
+from ..core.cache_root import cache_root, references_root
 from . import tasks
 
 # "bl_ext.<repository>.<id>" where Blender installed the extension, whose package holds ours; else our package itself
@@ -29,7 +29,8 @@ def preferred_threads() -> int:
 
 def cache_size_mb() -> float:
     """Size of all compiled kernels that are kept, also of earlier versions."""
-    return sum(path.stat().st_size for path in cache_root().rglob("*") if path.is_file()) / 1e6
+    files = [path for path in cache_root().rglob("*") if path.is_file() and not path.is_relative_to(references_root())]
+    return sum(path.stat().st_size for path in files) / 1e6
 
 
 class RTGI_OT_clear_cache(bpy.types.Operator):

@@ -219,8 +219,8 @@ class RTGI_OT_stop(bpy.types.Operator):
 
 
 def _expected_steps(settings: Settings) -> int:
-    """Lines of progress of a comparison: the reference, RTGI, direct light, each technique, two peers."""
-    return 5 + len([name for name in optional_techniques() if settings.enabled.get(name, name in ALWAYS_ON)])
+    """Lines of progress of a comparison: the reference, RTGI, direct light, each technique, four peers."""
+    return 7 + len([name for name in optional_techniques() if settings.enabled.get(name, name in ALWAYS_ON)])
 
 
 class RTGI_OT_compare(_TaskOperator, bpy.types.Operator):
@@ -243,7 +243,8 @@ class RTGI_OT_compare(_TaskOperator, bpy.types.Operator):
         name = Path(bpy.data.filepath).stem or context.scene.name
         copy = folder / f"{bpy.path.clean_name(name)}.blend"
         bpy.ops.wm.save_as_mainfile(filepath=str(copy), copy=True, check_existing=False)
-        words = ["compare", str(copy), "-o", str(folder), "--samples", str(self.samples)]
+        words = ["compare", str(copy), "-o", str(folder), "--samples", str(self.samples), "--peers", "1,4",
+                 "--cache", str(folder / "references")]
         if self.reference:
             words += ["--reference", self.reference]
         return Task(self.bl_label, Child(words, folder / "log.txt"), _expected_steps(settings_from_scene(context.scene)),
