@@ -219,8 +219,8 @@ def html_page(title: str, facts: Sequence[str], rows: Sequence[Shown], reference
     glossary.append(("noise of the reference", "What the reference's own noise makes of a perfect picture (picture, parts), "
                      "or is by itself (per pixel, relMSE: taken out of the errors already). An error below it says little."))
     template = string.Template(Path(__file__).with_name("page_template.html").read_text(encoding="utf-8"))
-    # "</" would end the script element that holds the data
-    data = json.dumps({"pictures": pictures, "stages": stages}).replace("</", "<\\/")
+    # a "<" in a name could end the script element that holds the data
+    data = json.dumps({"pictures": pictures, "stages": stages}).replace("<", "\\u003c")
     return template.substitute(
         title=escape(title), facts=" &middot; ".join(map(escape, facts)), summary=_paragraphs(summary_words(rows, noise)),
         scale=percent(ERROR_SCALE).replace(".0", ""), window=ERROR_WINDOW_PX,

@@ -21,7 +21,7 @@ _OWN = "var(--own, #2a5bd7)"
 _OTHER = "var(--other, #7b6fa8)"
 _INK, _FAINT = "var(--ink, #222)", "var(--line, #ccc)"
 _HALO = 'stroke="var(--card, #fff)" stroke-width="3" paint-order="stroke" stroke-linejoin="round"'
-_LABEL_PX = 7.0             # width of a letter of the labels, a generous mean
+_LABEL_PX = 7.6             # width of a letter of the labels, a generous mean
 
 
 class _Axis:
@@ -113,7 +113,7 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
         colour = _CURVE_COLOURS[number % 2]
         parts.append(f'<polyline points="{" ".join(f"{x(p.seconds):.1f},{y(p.error):.1f}" for p in line)}" fill="none" '
                      f'stroke="{colour}" stroke-width="2"/>')
-    for point in sorted(shown, key=lambda p: p.name != own):
+    for point in sorted(shown, key=lambda p: p.name == own):      # the own one lies on top
         at = x(point.seconds), y(point.error)
         if point.curve:
             number = curves.index(point.curve) % 2
@@ -122,7 +122,7 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
             shape, colour = ("star", _OWN) if point.name == own else ("circle", _OTHER)
         parts.append(_marker(shape, *at, colour, f"{point.name}: {point.seconds:.3g} s, {100 * point.error:.3g} %"))
         taken.append((at[0] - 7, at[1] - 7, at[0] + 7, at[1] + 7))
-        wanted.append((*at, _label(point)))
+        wanted.insert(0 if point.name == own else len(wanted), (*at, _label(point)))
     for number, name in enumerate([*curves, "Pareto front"]):
         row = _TOP + 14 + 20 * number
         if name in curves:

@@ -16,7 +16,7 @@ from ..core.settings import Settings
 from ..core.techniques import ALWAYS_ON, TECHNIQUE_PARAMS, optional_techniques, preset_params
 from ..errors import InputError
 from ..imageio import replacing
-from ..pipeline import versions
+from ..pipeline import Result, versions
 from .eevee import render_eevee
 from .flip import mean_flip
 from .halves import Reference
@@ -163,9 +163,14 @@ def compare_scene(blend_path: str | Path | None, out_dir: str | Path, techniques
 
 
 def _shown(blender: Any, scene: Any, name: str, kind: str, seconds: float, combined: np.ndarray, truth: Reference,
-           errors: dict[str, Any] | None = None, report: dict[str, Any] | None = None) -> Shown:
-    errors = errors if errors is not None else {"picture": picture_errors(combined, truth)}
-    return Shown(name, kind, seconds, errors, blender.displayed(combined, scene), combined, report or {})
+           result: Result | None = None) -> Shown:
+    """A render with its errors, part by part where it is RTGI's `result`; InputError naming it if it is not finite."""
+    try:
+        errors = errors_of(result, truth) if result is not None else {"picture": picture_errors(combined, truth)}
+    except InputError as error:
+        raise InputError(f"{name} cannot be compared: {error}") from error
+    return Shown(name, kind, seconds, errors, blender.displayed(combined, scene), combined,
+                 result.report if result is not None else {})
 
 
 def _render_rtgi(blender: Any, scene: Any, variants: Sequence[tuple[str, Settings]], size: tuple[int, int],
@@ -177,8 +182,7 @@ def _render_rtgi(blender: Any, scene: Any, variants: Sequence[tuple[str, Setting
             first, _ = blender.render_rtgi(scene, variant, size)
             result, seconds = blender.render_rtgi(scene, variant, size)
         result.report["jit_ms"] = first.report["jit_ms"]
-        rows.append(_shown(blender, scene, name, "rtgi", seconds, result.combined, truth, errors_of(result, truth),
-                           result.report))
+        rows.append(_shown(blender, scene, name, "rtgi", seconds, result.combined, truth, result))
     return rows
 
 
