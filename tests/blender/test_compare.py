@@ -26,13 +26,13 @@ def compared(blend_path, tmp_path, capsys):
     from rtgi_addon.compare.run import compare_scene
 
     out = tmp_path / "compared"
-    outcome = compare_scene(blend_path, out, samples=SAMPLES, size=SIZE, peers=(1,))
+    outcome = compare_scene(blend_path, out, samples=SAMPLES, size=SIZE, peers=(1,), cache=out / "references")
     return outcome, out, capsys.readouterr().out
 
 
 def test_compare_has_a_row_for_everything_for_direct_light_and_for_each_technique(compared):
     outcome, _, _ = compared
-    assert {"RTGI", "direct only", "rsm", "Cycles 1 + denoiser"} <= set(outcome["rows"])
+    assert {"RTGI", "direct only", "rsm", "Cycles 1", "Cycles 1 + denoiser"} <= set(outcome["rows"])
 
 
 def test_compare_saves_what_it_returns(compared):
@@ -46,6 +46,69 @@ def test_compare_writes_three_panels_in_one_picture(compared):
     _, out, _ = compared
     pixels = read_png(out / "compare.png")
     assert pixels.shape[1] > 3 * SIZE[0] and pixels.shape[0] > SIZE[1]
+
+
+def test_compare_writes_a_page_a_csv_a_plot_and_each_picture(compared):
+    outcome, out, _ = compared
+    assert (out / "compare.html").read_text(encoding="utf-8").count('<tr data-name=') == len(outcome["rows"])
+    assert len((out / "compare.csv").read_text().splitlines()) == 1 + len(outcome["rows"])
+    assert (out / "speed_error.svg").read_text().startswith("<svg")
+    names = {path.name for path in (out / "pictures").iterdir()}
+    assert {"reference.png", "rtgi.png", "rtgi_error.png", "cycles_1_denoiser.png", "cycles_1_denoiser_error.png"} <= names
+    assert len(names) == 1 + 2 * len(outcome["rows"])
+
+
+def test_every_error_of_the_picture_is_measured(compared):
+    outcome, _, _ = compared
+    for row in outcome["rows"].values():
+        assert {"block", "nrmse", "relmse", "block_95", "luminance_bias", "block_after_scale", "ssim"} <= set(
+            row["errors"]["picture"])
+    assert set(outcome["floors"]) == {"block", "nrmse", "relmse"} and outcome["crossing"]
+
+
+def test_reference_of_an_asked_noise_is_as_quiet(blend_path, tmp_path):
+    from rtgi_addon.compare import reference, references
+    from rtgi_addon.compare.measure import noise_of
+
+    scene = reference.open_scene(blend_path)
+    rough = noise_of(reference.render_reference(scene, 2, SIZE))["picture"]
+    found = references.reference_for(scene, blend_path, SIZE, 2, tmp_path, noise=rough / 3)
+    assert noise_of(found)["picture"] <= rough / 3 and found.samples > 10
+    again = references.reference_for(scene, blend_path, SIZE, 2, tmp_path, noise=rough / 3)
+    assert again.samples == found.samples and again.source == found.source
+
+
+def test_render_that_is_not_finite_is_an_error_with_its_name(blend_path, tmp_path, monkeypatch):
+    from rtgi_addon.compare import reference
+    from rtgi_addon.compare.run import compare_scene
+
+    true_render = reference.render_peer
+
+    def broken(*args, **kwargs):
+        peer = true_render(*args, **kwargs)
+        peer.combined[14, 24, 1] = np.nan
+        return peer
+
+    monkeypatch.setattr(reference, "render_peer", broken)
+    with pytest.raises(InputError, match=r"Cycles 1 cannot be compared: .* 1 pixels that are not finite"):
+        compare_scene(blend_path, tmp_path / "out", ("rsm",), 1, SIZE, peers=(1,), cache=tmp_path)
+
+
+def test_eevee_is_a_row_or_a_line_that_says_why_not(blend_path, tmp_path):
+    from rtgi_addon.compare.run import compare_scene
+
+    outcome = compare_scene(blend_path, tmp_path / "out", ("rsm",), 1, SIZE, peers=(), eevee=True, cache=tmp_path)
+    assert ("EEVEE" in outcome["rows"]) != any(note.startswith("EEVEE is left out") for note in outcome["notes"])
+
+
+def test_blender_that_dies_over_eevee_is_one_line(blend_path, tmp_path):
+    from rtgi_addon.compare.eevee import render_eevee
+
+    program = tmp_path / "blender"
+    program.write_text("#!/bin/sh\necho no display >&2\nexit 11\n")
+    program.chmod(0o755)
+    found = render_eevee(blend_path, 1, SIZE, 0, str(program))
+    assert "left out" in found and "code 11" in found and "no display" in found
 
 
 def test_compare_prints_the_table_and_the_stage_times(compared):

@@ -198,3 +198,26 @@ def test_listed_defaults_can_be_set(capsys):
         for field in dataclasses.fields(kind):
             text = f"{name}.{field.name}={cli.setting_words(field.default)}"
             assert cli.parse_setting(text) == (name, field.name, field.default)
+
+
+@pytest.mark.parametrize(("text", "peers"), [
+    ("1,4,eevee", ([1, 4], True)), ("16, 1", ([1, 16], False)), ("none", ([], False)), ("EEVEE", ([], True))])
+def test_peers_are_sample_counts_and_eevee(text, peers):
+    assert cli.parse_peers(text) == peers
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "1.5", "cycles", "1,none"])
+def test_peers_that_are_none_are_refused(text):
+    with pytest.raises(InputError, match="--peers"):
+        cli.parse_peers(text)
+
+
+@pytest.mark.parametrize(("text", "level"), [("1%", 0.01), ("0.5 %", 0.005), ("0.02", 0.02), ("1e-3", 0.001)])
+def test_noise_level_is_a_share_or_percent(text, level):
+    assert cli.parse_noise(text) == pytest.approx(level, rel=1e-12)
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1%", "100%", "low", "1%%", "nan", "1e%"])
+def test_noise_level_that_is_none_is_refused(text):
+    with pytest.raises(InputError, match="--noise"):
+        cli.parse_noise(text)
