@@ -142,15 +142,21 @@ def block_percentile(test: np.ndarray, reference: np.ndarray, mask: np.ndarray, 
 
 def after_best_scale(test: np.ndarray, reference: np.ndarray, mask: np.ndarray,
                      block: int = BLOCK_PX) -> tuple[float, float]:
-    """(s, `block_relative_l1` of s T): the scale that fits the block sums best in least squares, and what it leaves.
+    """(s, `block_relative_l1` of s T): the scale that makes this error least, and what is left of it.
 
-    Tells calibration from structure: where the error falls to little, only the brightness was wrong. A black picture has
-    the scale 1, since none mends it.
+    Tells calibration from structure: where the error falls to little, only the brightness was wrong. sum |s T_b - R_b| is
+    least at the median of R_b / T_b weighted by |T_b|; least squares would let a few bright blocks decide. A black picture
+    has the scale 1, since none mends it.
     """
     test, reference = _checked(mask, test, reference)
-    t, r = block_sums(test, mask, block), block_sums(reference, mask, block)
-    power = float((t * t).sum())
-    scale = float((t * r).sum()) / power if power > 0 else 1.0
+    t, r = block_sums(test, mask, block).ravel(), block_sums(reference, mask, block).ravel()
+    lit = t != 0
+    scale = 1.0
+    if lit.any():
+        ratio, weight = r[lit] / t[lit], np.abs(t[lit])
+        order = np.argsort(ratio, kind="stable")
+        reached = weight[order].cumsum()
+        scale = float(ratio[order][np.searchsorted(reached, reached[-1] / 2)])
     return scale, float(np.abs(scale * t - r).sum() / _positive(r.sum()))
 
 

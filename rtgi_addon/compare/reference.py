@@ -27,6 +27,7 @@ from ..ui.props import settings_from_scene, settings_to_scene
 from .halves import PASSES, Reference
 
 SEEDS = (11, 77)
+PEER_SEED = 5003            # of no half and no round of a reference: shared noise would make a peer look better than it is
 _CHANNEL_ORDER = "RGBAXYZV"
 _PASS_FLAGS = {"Depth": "z", "Emission": "emit"}
 _Change = tuple[Any, str, Any]
@@ -272,7 +273,8 @@ def _read_render_result(scene: bpy.types.Scene, folder: Path) -> np.ndarray:
 
 
 def render_peer(scene: bpy.types.Scene, samples: int, denoise: bool = True, repeats: int = 1,
-                size: tuple[int, int] | None = None, layer: bpy.types.ViewLayer | None = None, seed: int = SEEDS[0]) -> Peer:
+                size: tuple[int, int] | None = None, layer: bpy.types.ViewLayer | None = None,
+                seed: int = PEER_SEED) -> Peer:
     """One-bounce Cycles of few samples, denoised by OpenImageDenoise, with the seconds of a second and further frames.
 
     Persistent data keeps session and BVH, and the first frame, which builds them, is not counted. No pass but Combined is

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from .report import ERROR_SCALE, ERROR_WINDOW_PX, error_map, percent, side_by_si
 
 PEER_SAMPLES = (1, 4)       # of denoised Cycles where few peers must do
 ALL_PEERS = (1, 2, 4, 8, 16)
+REPEATS = 3                 # timed frames, of which the median counts: a single one on a busy machine was off by three
 NOISY = 0.5                 # a reference whose noise is more than this share of the error is not good enough to judge it
 HEAD = ("", "time", "direct", "bounce", "glossy bounce", "picture", "too bright", "after scale", "per pixel")
 
@@ -177,10 +179,12 @@ def _render_rtgi(blender: Any, scene: Any, variants: Sequence[tuple[str, Setting
                  truth: Reference) -> list[Shown]:
     rows = []
     for name, variant in variants:
-        say(f"{name}: two frames, the second is timed")
+        say(f"{name}: {REPEATS + 1} frames, all but the first are timed")
         with blender.keeping_data(scene):
             first, _ = blender.render_rtgi(scene, variant, size)
-            result, seconds = blender.render_rtgi(scene, variant, size)
+            frames = [blender.render_rtgi(scene, variant, size) for _ in range(REPEATS)]
+        frames.sort(key=lambda frame: frame[1])
+        result, seconds = frames[REPEATS // 2]       # the picture is the same in all; stages are those of the median frame
         result.report["jit_ms"] = first.report["jit_ms"]
         rows.append(_shown(blender, scene, name, "rtgi", seconds, result.combined, truth, result))
     return rows
@@ -192,10 +196,10 @@ def _render_cycles(blender: Any, scene: Any, counts: Sequence[int], size: tuple[
     for denoise in (False, True) if blender.has_denoiser() else (False,):
         for count in counts:
             name = f"Cycles {count} + denoiser" if denoise else f"Cycles {count}"
-            say(f"{name}: two frames, the second is timed")
-            peer = blender.render_peer(scene, count, denoise, 1, size)
+            say(f"{name}: {REPEATS + 1} frames, all but the first are timed")
+            peer = blender.render_peer(scene, count, denoise, REPEATS, size)
             kind = "denoised" if denoise else "cycles"
-            rows.append(_shown(blender, scene, name, kind, peer.seconds[0], peer.combined, truth))
+            rows.append(_shown(blender, scene, name, kind, statistics.median(peer.seconds), peer.combined, truth))
     return rows
 
 

@@ -58,6 +58,13 @@ def test_compare_writes_a_page_a_csv_a_plot_and_each_picture(compared):
     assert len(names) == 1 + 2 * len(outcome["rows"])
 
 
+def test_no_peer_has_a_seed_of_a_reference():
+    from rtgi_addon.compare import reference, references
+
+    rounds = 50              # far more than until_quiet ever takes: each adds what the noise so far asks for
+    assert reference.PEER_SEED not in {seed + k * references._NEXT_SEEDS for seed in reference.SEEDS for k in range(rounds)}
+
+
 def test_every_error_of_the_picture_is_measured(compared):
     outcome, _, _ = compared
     for row in outcome["rows"].values():

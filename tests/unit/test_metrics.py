@@ -92,6 +92,13 @@ def test_error_after_the_best_scale_forgives_a_gain_and_names_it(truth, mask):
     assert scale == pytest.approx(1 / GAIN, abs=EXACT) and left < EXACT
 
 
+def test_no_other_scale_leaves_less(truth, halves, mask):
+    test = np.roll(0.8 * halves[0], 1, 1)
+    scale, left = metrics.after_best_scale(test, truth, mask)
+    others = [metrics.block_relative_l1(s * test, truth, mask) for s in (1.0, 0.99 * scale, 1.01 * scale, 1.25)]
+    assert left <= min(others) and left == pytest.approx(metrics.block_relative_l1(scale * test, truth, mask), abs=EXACT)
+
+
 def test_no_scale_mends_a_black_picture(truth, mask):
     assert metrics.after_best_scale(np.zeros_like(truth), truth, mask) == (1.0, 1.0)
 
