@@ -162,7 +162,7 @@ def after_best_scale(test: np.ndarray, reference: np.ndarray, mask: np.ndarray,
 
 def _cut(mask: np.ndarray, firefly: float, *images: np.ndarray) -> tuple[list[np.ndarray], float]:
     """The images with values above `firefly` means of the last two cut, and that mean."""
-    mean = _positive((images[-2][mask].mean() + images[-1][mask].mean()) / 2)
+    mean = _positive(float(images[-2][mask].mean() + images[-1][mask].mean()) / 2)
     return [np.minimum(image, firefly * mean) for image in images], mean
 
 
