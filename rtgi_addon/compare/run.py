@@ -29,7 +29,6 @@ from .references import reference_for
 from .report import ERROR_SCALE, ERROR_WINDOW_PX, error_map, percent, side_by_side, text_table, write_picture
 
 PEER_SAMPLES = (1, 4)       # of denoised Cycles where few peers must do
-ALL_PEERS = (1, 2, 4, 8, 16)
 REPEATS = 3                 # timed frames, of which the median counts: a single one on a busy machine was off by three
 NOISY = 0.5                 # a reference whose noise is more than this share of the error is not good enough to judge it
 HEAD = ("", "time", "direct", "bounce", "glossy bounce", "picture", "too bright", "after scale", "per pixel")

@@ -31,8 +31,8 @@ class Surroundings(NamedTuple):
     """The scene beyond the picture.
 
     albedo (T, 3, 3) and emission (T, 3) of the triangles, material (T,) int32; substance (M, 5) float32 of the materials:
-    colour of the glossy lobe, roughness, F0 (see `passes.ssr.substance_table`). sky and blurred_sky (h, w, 3): the world's
-    radiance; lights_up: whether world or emissive surfaces light anything.
+    colour of the glossy lobe, roughness, F0 (see `passes.surroundings.substance_table`). sky and blurred_sky (h, w, 3): the
+    world's radiance; lights_up: whether world or emissive surfaces light anything.
     """
 
     albedo: np.ndarray

@@ -22,7 +22,7 @@ from ..core.frame import Frame, Geometry, Light, LightKind, LightView
 from ..core.techniques import DirectParams
 from ..core.transforms import Projection
 from ..kernels import lamps, shadow
-from ..kernels.brdf import albedo_table, fit_lobe
+from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
 from ..kernels.bvh import STACK, Bvh, visibility
 from ..kernels.jit import device_jit, pixel_jit, prange
 from ..kernels.lamps import Lamp
@@ -45,8 +45,9 @@ SPAN = f32(1e-4)            # of the viewer's distance: how far from its positio
 NEGLIGIBLE_SHARE = f32(3e-4)    # of what other lamps could give: a lamp that cannot give more is left out, see `ROUGH`
 ROUGH = f32(0.35)           # roughness from which no highlight outshines what a lamp gives to the diffuse lobe
 WITHOUT_BOUND = f32(1e30)
-FAINT_SHARE = f32(5e-3)     # of what all lamps could give: for less the map's own four texels tell the shadow, not rays
-MINOR_SHARE = f32(0.1)      # of what all lamps could give: for less one ray tells the shadow, with noise in half shadows
+# of what all lamps could give, at pixels that show no highlight of this one:
+FAINT_SHARE = f32(5e-3)     # for less the map's own four texels tell the shadow, not rays
+MINOR_SHARE = f32(0.1)      # for less one ray tells it, with noise in half shadows
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -105,6 +106,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
             share = (tile + 0.3 + 0.7 * number / len(sources)) / tiles
             if source.test == MAP and has_rays:
                 is_faint = source.colours[6] * bare.diffuse[left] < FAINT_SHARE * out.could[part[left]]
+                is_faint &= bare.glossy[left] * pixels.specular[part[left]].max(1) <= bare.diffuse[left] * INV_PI
                 _ask_map(part, left[is_faint], source.colours, pixels, source.shadow_map, bare, out)
                 left = left[~is_faint]
             asked[source.name] += len(left)
@@ -407,7 +409,9 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
         starts.known[q] = 1
     start, side = load(starts.place, q), load(starts.side, q)
     share, glossy_share = ONE, ONE
-    is_minor = pilots > 0 and colours[6] * bare.diffuse[k] < MINOR_SHARE * out.could[q]
+    specular = max(pixels.specular[q, 0], max(pixels.specular[q, 1], pixels.specular[q, 2]))
+    is_highlight = bare.glossy[k] * specular > bare.diffuse[k] * INV_PI
+    is_minor = pilots > 0 and not is_highlight and colours[6] * bare.diffuse[k] < MINOR_SHARE * out.could[q]
     answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO and not is_minor else shadow.ASK
     if is_minor:
         x, y, _ = lamps.lamp_place(lamp, p, uniform(q, 2, salt), uniform(q, 3, salt))

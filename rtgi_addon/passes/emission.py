@@ -18,9 +18,9 @@ from ..kernels.gather import gather_visible
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_on_lattice
+from .rsm import MIN_DISTANCE2
 
 POINTS = 16384              # on each side of all emissive surfaces together: a panel of 1 m2 gets one for each 8 mm
-MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the sender itself
 
 
 def emitter_table(geometry: Geometry, points: int = POINTS) -> np.ndarray:

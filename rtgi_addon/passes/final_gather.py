@@ -22,7 +22,7 @@ from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_on_lattice
 from .screen import screen_of
-from .ssr import leave_surfaces, pack_lights, reach_out_m, surroundings_of
+from .surroundings import leave_surfaces, pack_lights, reach_out_m, surroundings_of
 
 
 def compute_final_gather(frame: Frame, params: FinalGatherParams, context: Context, seed: int = 0) -> PassResult:

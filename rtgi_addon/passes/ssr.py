@@ -18,25 +18,22 @@ Rough surfaces are traced on a lattice and the noise is averaged over what blurs
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from ..core.frame import Frame, Geometry, Light, Material
+from ..core.frame import Frame, Geometry
 from ..core.techniques import SsrParams
 from ..core.transforms import Projection, normalized
 from ..kernels.brdf import GAIN_STEPS, albedo_table
-from ..kernels.bvh import Bvh, build_bvh
+from ..kernels.bvh import build_bvh
 from ..kernels.depth_pyramid import build_pyramid
 from ..kernels.gloss_filter import FILTERED, blur_of_pixels, smooth_reflections, spread_reflections
-from ..kernels.lit_hits import Gloss, Lights
+from ..kernels.lit_hits import Gloss
 from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Rules, collect_rays, draw_rays, follow_rays, make_rays
-from ..kernels.scene_light import Surroundings, ask_scene
+from ..kernels.scene_light import ask_scene
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
-from .direct import pack_lamp
 from .screen import MIRROR_ROUGHNESS, screen_of
-from .world import shrink_map
+from .surroundings import leave_surfaces, pack_lights, reach_out_m, surroundings_of
 
 NEGLIGIBLE = 1e-3           # Glossy Color below it is left out: a thousandth of what is reflected
 SLACK_PX = 0.5              # thickness of surfaces where the triangles know better; thicker ones stand in the way of rays
@@ -50,7 +47,6 @@ FILTER_REACH = 0.7          # standard deviation of the filter over the blur of 
                             # and makes blurred edges half as wide again, 0.5 has 2 % more and a third
 WEAK_STEP = 2               # rays of a pixel that the lattice cannot serve are those of this step: a quarter of `samples`
 TILE_RAYS = 1 << 17         # rays between two looks at Esc
-MAX_SKY = (512, 1024)       # a mirror shows the world at the resolution of its map, up to this
 
 _DIRECT = (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE)
 _TOP = {"TRIANGLES": 99, "HIERARCHY": 99, "DDA": 0, "LINEAR": -1}    # the first where there are no triangles to ask
@@ -154,14 +150,6 @@ def _fallback_of(frame: Frame, params: SsrParams, context: Context) -> str:
     return "WORLD" if fallback == "RAYS" and frame.geometry is None else fallback
 
 
-def leave_surfaces(frame: Frame, context: Context, arrived: tuple[Transport, ...]) -> np.ndarray:
-    """(H, W, 3) float32 W/(m2 sr): what each pixel's matt surface sends out after the light of `arrived` has reached it."""
-    present = [context.light[t] for t in arrived if t in context.light]
-    out = frame.gbuffer.albedo * np.float32(1 / math.pi)
-    out *= sum(present[1:], start=present[0]) if present else np.float32(0)
-    return out
-
-
 def share_not_hidden(frame: Frame) -> np.ndarray:
     """(H, W) float32: what a lobe of single scattering reflects of what Glossy Color says.
 
@@ -179,61 +167,6 @@ def share_not_hidden(frame: Frame) -> np.ndarray:
     s, t = x - i, y - j
     return ((1 - s) * ((1 - t) * table[i, j] + t * table[i, j + 1])
             + s * ((1 - t) * table[i + 1, j] + t * table[i + 1, j + 1])).astype(np.float32)
-
-
-def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
-    """(M, 5) float32 of materials at hits: colour, roughness, reflectance F0 at normal incidence.
-
-    A material's `specular` is its mean over all directions. Towards one direction it reflects colour (F0 + (1 - F0) r),
-    with r the rise at that angle, and the colour is such that the mean comes out. Bright ones are metals, see
-    `brdf.fit_lobe`.
-    """
-    table = albedo_table(True).astype(np.float64)
-    rise = table[..., 1] / np.maximum(table[..., 0], 1e-3)
-    cosine = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
-    mean_rise = 2 * (rise * cosine[:, None]).mean(0)
-    rows = []
-    for material in materials:
-        # colours count what is not there of a surface as black, and a hit is on what is there
-        specular = np.array(material.specular) / max(material.alpha, 1e-3)
-        brightest = specular.max()
-        f0 = 0.04 + min(max((brightest - 0.08) / 0.12, 0), 1) * (brightest - 0.04)
-        mean = np.interp(material.roughness**2, cosine, mean_rise)
-        rows.append([*(specular / (f0 + (1 - f0) * mean)), material.roughness, f0])
-    return np.array(rows, np.float32).reshape(-1, 5)
-
-
-def surroundings_of(frame: Frame, geometry: Geometry) -> Surroundings:
-    """What rays meet beyond the picture."""
-    sky = shrink_map(frame.world.radiance, MAX_SKY)
-    blurred = shrink_map(frame.world.radiance)
-    material = np.clip(geometry.material, 0, max(len(frame.materials) - 1, 0)).astype(np.int32)
-    albedo = geometry.albedo
-    if geometry.cutouts is not None:
-        albedo = np.minimum(albedo / geometry.coverage(np.arange(len(geometry)))[:, None, None], 1)
-    return Surroundings(
-        np.ascontiguousarray(albedo, np.float32), np.ascontiguousarray(geometry.emission, np.float32), material,
-        substance_table(frame.materials or (Material("none"),)), sky, blurred, bool(sky.any() or geometry.emission.any()))
-
-
-def pack_lights(lights: tuple[Light, ...], far_m: float) -> Lights:
-    """Lamps as kernels take them; shadow rays towards a sun are `far_m` long."""
-    lamps = [pack_lamp(light, far_m) for light in lights]
-    powers = [[*(light.power * light.diffuse_factor), *(light.power * light.glossy_factor)] for light in lights]
-    return Lights(np.array([lamp.kind for lamp in lamps], np.int64),
-                  np.array([lamp.places for lamp in lamps], np.float32).reshape(-1, 4, 3),
-                  np.array([lamp[2:] for lamp in lamps], np.float32).reshape(-1, 7),
-                  np.array(powers, np.float32).reshape(-1, 6), np.array([light.casts_shadow for light in lights], np.uint8))
-
-
-def reach_out_m(frame: Frame, bvh: Bvh) -> float:
-    """A length in m that leads from every pixel out of all triangles and past the farthest thing seen."""
-    seen = frame.gbuffer.position_ws              # 0 where nothing is seen
-    far = [seen.max(initial=0), -seen.min(initial=0), np.abs(frame.camera.position_ws).max()]
-    if len(bvh.corners):
-        far += [np.abs(bvh.boxes[0, :, :3].min(0)).max(), np.abs(bvh.boxes[0, :, 3:].max(0)).max()]
-    # twice the diagonal of the cube around the origin that holds them all
-    return 2 * 2 * math.sqrt(3) * float(max(far)) + 1e-3 * frame.scale_m
 
 
 class _Tracer:

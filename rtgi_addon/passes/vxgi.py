@@ -30,10 +30,10 @@ from ..kernels.voxel_gather import gather_reflections, gather_voxels
 from ..kernels.voxel_levels import Levels
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_on_lattice
+from .sky_light import shrink_map
 from .voxel_light import LitVoxels, aim_at, dark_voxels, emissive_voxels, levels_of, light_voxels
 from .voxel_scene import VoxelScene, grid_of_frame, solid_cells
 from .voxel_view import voxel_pictures
-from .world import shrink_map
 
 AIMED_SHARE = 0.5           # of the rays of a gather that looks for emissive surfaces: small lamps are rarely met by chance
 INTERLEAVE = 8              # lattice points along each edge of a block that share one low-discrepancy sequence

@@ -15,7 +15,7 @@ from rtgi_addon.kernels.lit_hits import gloss_of_lamps, light_of_lamps
 from rtgi_addon.kernels.vec3 import f32, vector
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.direct import compute_direct
-from rtgi_addon.passes.ssr import pack_lights
+from rtgi_addon.passes.surroundings import pack_lights
 from tests.mirror_frames import glossy, on_floor, room_from_above
 
 FLOAT32 = 1e-3          # a dozen roundings, and the same table interpolated at another place

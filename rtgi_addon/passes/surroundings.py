@@ -1,0 +1,81 @@
+"""What rays meet beyond the picture, and what they take home, as kernels want it: for reflections and final gathering."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..core.frame import Frame, Geometry, Light, Material
+from ..kernels.brdf import GAIN_STEPS, albedo_table
+from ..kernels.bvh import Bvh
+from ..kernels.lit_hits import Lights
+from ..kernels.scene_light import Surroundings
+from .base import Context, Transport
+from .direct import pack_lamp
+from .sky_light import shrink_map
+
+MAX_SKY = (512, 1024)       # a mirror shows the world at the resolution of its map, up to this
+
+
+def leave_surfaces(frame: Frame, context: Context, arrived: tuple[Transport, ...]) -> np.ndarray:
+    """(H, W, 3) float32 W/(m2 sr): what each pixel's matt surface sends out after the light of `arrived` has reached it."""
+    present = [context.light[t] for t in arrived if t in context.light]
+    out = frame.gbuffer.albedo * np.float32(1 / math.pi)
+    out *= sum(present[1:], start=present[0]) if present else np.float32(0)
+    return out
+
+
+def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
+    """(M, 5) float32 of materials at hits: colour, roughness, reflectance F0 at normal incidence.
+
+    A material's `specular` is its mean over all directions. Towards one direction it reflects colour (F0 + (1 - F0) r),
+    with r the rise at that angle, and the colour is such that the mean comes out. Bright ones are metals, see
+    `brdf.fit_lobe`.
+    """
+    table = albedo_table(True).astype(np.float64)
+    rise = table[..., 1] / np.maximum(table[..., 0], 1e-3)
+    cosine = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
+    mean_rise = 2 * (rise * cosine[:, None]).mean(0)
+    rows = []
+    for material in materials:
+        # colours count what is not there of a surface as black, and a hit is on what is there
+        specular = np.array(material.specular) / max(material.alpha, 1e-3)
+        brightest = specular.max()
+        f0 = 0.04 + min(max((brightest - 0.08) / 0.12, 0), 1) * (brightest - 0.04)
+        mean = np.interp(material.roughness**2, cosine, mean_rise)
+        rows.append([*(specular / (f0 + (1 - f0) * mean)), material.roughness, f0])
+    return np.array(rows, np.float32).reshape(-1, 5)
+
+
+def surroundings_of(frame: Frame, geometry: Geometry) -> Surroundings:
+    """What rays meet beyond the picture."""
+    sky = shrink_map(frame.world.radiance, MAX_SKY)
+    blurred = shrink_map(frame.world.radiance)
+    material = np.clip(geometry.material, 0, max(len(frame.materials) - 1, 0)).astype(np.int32)
+    albedo = geometry.albedo
+    if geometry.cutouts is not None:
+        albedo = np.minimum(albedo / geometry.coverage(np.arange(len(geometry)))[:, None, None], 1)
+    return Surroundings(
+        np.ascontiguousarray(albedo, np.float32), np.ascontiguousarray(geometry.emission, np.float32), material,
+        substance_table(frame.materials or (Material("none"),)), sky, blurred, bool(sky.any() or geometry.emission.any()))
+
+
+def pack_lights(lights: tuple[Light, ...], far_m: float) -> Lights:
+    """Lamps as kernels take them; shadow rays towards a sun are `far_m` long."""
+    lamps = [pack_lamp(light, far_m) for light in lights]
+    powers = [[*(light.power * light.diffuse_factor), *(light.power * light.glossy_factor)] for light in lights]
+    return Lights(np.array([lamp.kind for lamp in lamps], np.int64),
+                  np.array([lamp.places for lamp in lamps], np.float32).reshape(-1, 4, 3),
+                  np.array([lamp[2:] for lamp in lamps], np.float32).reshape(-1, 7),
+                  np.array(powers, np.float32).reshape(-1, 6), np.array([light.casts_shadow for light in lights], np.uint8))
+
+
+def reach_out_m(frame: Frame, bvh: Bvh) -> float:
+    """A length in m that leads from every pixel out of all triangles and past the farthest thing seen."""
+    seen = frame.gbuffer.position_ws              # 0 where nothing is seen
+    far = [seen.max(initial=0), -seen.min(initial=0), np.abs(frame.camera.position_ws).max()]
+    if len(bvh.corners):
+        far += [np.abs(bvh.boxes[0, :, :3].min(0)).max(), np.abs(bvh.boxes[0, :, 3:].max(0)).max()]
+    # twice the diagonal of the cube around the origin that holds them all
+    return 2 * 2 * math.sqrt(3) * float(max(far)) + 1e-3 * frame.scale_m
