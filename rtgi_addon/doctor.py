@@ -116,11 +116,9 @@ def _threads() -> Iterator[Finding]:
     if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
         yield Finding("NUMBA_DISABLE_JIT", "set", "unset it: without compiled kernels a frame takes hours")
         return
-    from .kernels.jit import probe_threading_layer
+    from .kernels.jit import most_threads
 
-    layer, threads = probe_threading_layer()
-    mend = "unset NUMBA_THREADING_LAYER, or install tbb or libgomp1: workqueue aborts when two threads call it"
-    yield Finding("threading layer", f"{layer}, {threads} threads", mend if layer == "workqueue" else "")
+    yield Finding("kernels", f"up to {most_threads()} threads")
     from .kernels.embree import embree_version
 
     yield Finding("rays", f"Embree {embree_version()}, Blender's own" if embree_version() else "RTGI's own tree")

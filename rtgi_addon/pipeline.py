@@ -17,7 +17,7 @@ from .core.frame import Frame
 from .core.mending import mend_frame
 from .core.settings import Settings
 from .kernels.embree import embree_version
-from .kernels.jit import compiled_s, kernel_session, threading_layer
+from .kernels.jit import compiled_s, kernel_session
 from .passes import TECHNIQUES
 from .passes.base import Context, Transport
 from .planner import Plan
@@ -128,7 +128,6 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
                 results.append((name, technique.compute(frame, settings.params[name], context, settings.seed)))
         context.light, context.to_come, context.span = {}, frozenset(), (0.0, 1.0)
         context.near_m = context.near_left_m = 0.0
-        layer = threading_layer()
     with stages("composite"):
         light = merge(results)
         combined = combine(frame.gbuffer, light, film_transparent)
@@ -139,7 +138,7 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
     report = {
         "plan": plan.to_json(), "stages": stages.to_json(), "total_ms": round(stages.total_ms, 2),
         "jit_ms": round(stages.jit_ms, 2),
-        "peak_memory_mb": round(peak_memory_mb(), 1), "threads": settings.threads, "threading_layer": layer,
+        "peak_memory_mb": round(peak_memory_mb(), 1), "threads": settings.threads,
         "versions": versions(), "warnings": list(frame.warnings),
         "diagnostics": {name: result.diagnostics for name, result in results},
     }

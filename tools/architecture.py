@@ -180,7 +180,7 @@ def numba_outside_policy(module: Module) -> list[str]:
     complaints = []
     for node in ast.walk(module.tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "numba":
-            complaints.append(module.says(node, "takes names from numba; decorators and prange come from kernels/jit.py"))
+            complaints.append(module.says(node, "takes names from numba; decorators come from kernels/jit.py"))
         elif isinstance(node, ast.Attribute) and node.attr in NUMBA_OPTIONS and ast.unparse(node.value) in ("numba", "nb"):
             complaints.append(module.says(node, f"uses numba.{node.attr}; decorators come from kernels/jit.py"))
         elif isinstance(node, ast.keyword) and node.arg in ("fastmath", "error_model", "nopython"):

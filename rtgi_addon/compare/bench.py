@@ -82,7 +82,7 @@ def measure_scene(path: Path, cache: Path, size: tuple[int, int] = SIZE, repeats
                 "first_seconds": first_seconds, "jit_ms": first.report["jit_ms"],
                 "seconds": statistics.median(s for _, s in frames), "all_seconds": [s for _, s in frames],
                 "stages_ms": _medians([result.report for result, _ in frames]), "peak_memory_mb": round(peak_memory_mb(), 1),
-                "threading_layer": first.report["threading_layer"], "plan": first.report["plan"],
+                "plan": first.report["plan"],
                 "warnings": first.report["warnings"]}
         record["rtgi"] = {preset: record["rtgi"][preset] for preset in presets}
         for count in peers:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .brdf import fit_lobe, matt_share
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .vec3 import ONE, ZERO, dot, f32, load_pixel, normalized_or, sub
 
 # rows of the texel table
@@ -53,11 +53,11 @@ class Clusters(NamedTuple):
 
 
 @pixel_jit
-def fill_texels(table, first, reflects, position, normal, albedo, specular, roughness, flux, light_position, to_sun,
-                is_sun, albedos, means, use_glossy):
+def fill_texels(begin, end, table, first, reflects, position, normal, albedo, specular, roughness, flux, light_position,
+                to_sun, is_sun, albedos, means, use_glossy):
     """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row."""
     height, width = roughness.shape
-    for i in prange(height):
+    for i in range(begin, end):
         k = first[i]
         for j in range(width):
             if not reflects[i, j]:
@@ -153,13 +153,17 @@ def _split(feature, weight, order, first, last, number, start, end, cost):
 
 
 @pixel_jit
-def _split_groups(feature, weight, order, group_start, group_end, budget, first, start, end):
-    """Split each group into at most budget[g] clusters, written from index first[g]; returns how many each got."""
-    used = np.zeros(group_start.shape[0], np.int64)
-    for g in prange(group_start.shape[0]):
+def _split_each(begin, stop, feature, weight, order, group_start, group_end, budget, first, start, end, used):
+    for g in range(begin, stop):
         a, b = first[g], first[g] + budget[g]
         used[g] = _split(feature, weight, order, group_start[g], group_end[g], budget[g], start[a:b], end[a:b],
                          np.zeros(budget[g]))
+
+
+def _split_groups(feature, weight, order, group_start, group_end, budget, first, start, end):
+    """Split each group into at most budget[g] clusters, written from index first[g]; returns how many each got."""
+    used = np.zeros(group_start.shape[0], np.int64)
+    _split_each(group_start.shape[0], feature, weight, order, group_start, group_end, budget, first, start, end, used)
     return used
 
 
@@ -188,10 +192,8 @@ def _split_texels(feature: np.ndarray, weight: np.ndarray, number: int) -> tuple
 
 
 @pixel_jit
-def _summarise(T, start, end):
-    """The cluster table of texels in cluster order."""
-    out = np.zeros((CLUSTER_ROWS, start.shape[0]), np.float32)
-    for c in prange(start.shape[0]):
+def _summarise_each(begin, stop, T, start, end, out):
+    for c in range(begin, stop):
         px = py = pz = nx = ny = nz = lx = ly = lz = total = diffuse = glossy = alpha2 = f0 = 0.0
         for k in range(start[c], end[c]):
             d = np.float64(T[DIFFUSE, k]) + T[DIFFUSE + 1, k] + T[DIFFUSE + 2, k]
@@ -223,6 +225,12 @@ def _summarise(T, start, end):
         spread = 2 * (2 - n_length - l_length)
         out[C_ALPHA2, c] = min(1.0, alpha2 / max(glossy, 1e-300) + spread)
         out[C_F0, c] = f0 / max(glossy, 1e-300)
+
+
+def _summarise(T, start, end):
+    """The cluster table of texels in cluster order."""
+    out = np.zeros((CLUSTER_ROWS, start.shape[0]), np.float32)
+    _summarise_each(start.shape[0], T, start, end, out)
     return out
 
 

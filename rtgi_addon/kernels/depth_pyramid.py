@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .screen import HALF, Screen, seen_normal_vs
 from .shadow import ORTHOGRAPHIC
 from .vec3 import ONE, ZERO, f32
@@ -54,7 +54,7 @@ def build_pyramid(screen: Screen, slack_px: float, thickness_m: float = 0.0, has
     first, rows, columns = (of_level[:None if has_levels else 1] for of_level in pyramid_layout(height, width))
     planes, bounds = np.empty((height, width, 4), np.float32), np.empty((int(first[-1] + rows[-1] * columns[-1]), 2),
                                                                                    np.float32)
-    _lay_planes(screen, f32(slack_px), f32(thickness_m), planes, bounds)
+    _lay_planes(screen.depth.shape[0], screen, f32(slack_px), f32(thickness_m), planes, bounds)
     if has_levels:
         fill_pyramid(bounds, first, rows, columns)
     return DepthPyramid(planes, bounds, first, rows, columns)
@@ -148,10 +148,10 @@ def _slopes(s, i, j, h):
 
 
 @pixel_jit
-def _lay_planes(s, slack_px, thickness_m, planes, bounds):
+def _lay_planes(begin, end, s, slack_px, thickness_m, planes, bounds):
     """Fill `planes`, and level 0 of `bounds`."""
     rows, columns = s.depth.shape
-    for i in prange(rows):
+    for i in range(begin, end):
         for j in range(columns):
             k, depth = i * columns + j, s.depth[i, j]
             if not depth < NOTHING:

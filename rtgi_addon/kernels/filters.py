@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .jit import device_jit, inline_jit, pixel_jit, prange
+from .jit import device_jit, inline_jit, pixel_jit
 from .vec3 import ONE, ZERO, dot, f32, load_pixel, sub, tangent_frame
 
 WEAK = f32(0.05)            # below this weight a pixel found no like neighbour on the lattice
@@ -23,17 +23,10 @@ def falloff(x):
 
 
 @pixel_jit
-def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask, rcp_tolerance, step, unrest):
-    """Values (h, w, 3) of a lattice (every `step`-th pixel, first at step // 2) to pixels; step 1 smooths the lattice.
-
-    Returns ((H, W, 3) float32, (H, W) bool): the filtered values, and the surface pixels that must be gathered on their
-    own: they found no neighbour of like plane and normal, or their neighbours' light differs by more than `unrest` (standard
-    deviation over mean). Weights: a squared tent of 4x4 points, the 16th power of the
-    normals' cosine, a falloff like exp(-distance from the pixel's tangent plane * rcp_tolerance (H, W) 1/m).
-    """
+def _spread_lattice(begin, end, values, position_l, normal_l, mask_l, position, normal, mask, rcp_tolerance, step, unrest,
+                    out, weak):
     height, width = mask.shape
-    out, weak = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.bool_)
-    for i in prange(height):
+    for i in range(begin, end):
         for j in range(width):
             if not mask[i, j]:
                 continue
@@ -62,6 +55,20 @@ def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask,
             weak[i, j] = total < WEAK or squares * total > (ONE + unrest * unrest) * first * first
             if total > ZERO:
                 out[i, j, 0], out[i, j, 1], out[i, j, 2] = red / total, green / total, blue / total
+
+
+def spread_lattice(values, position_l, normal_l, mask_l, position, normal, mask, rcp_tolerance, step, unrest):
+    """Values (h, w, 3) of a lattice (every `step`-th pixel, first at step // 2) to pixels; step 1 smooths the lattice.
+
+    Returns ((H, W, 3) float32, (H, W) bool): the filtered values, and the surface pixels that must be gathered on their
+    own: they found no neighbour of like plane and normal, or their neighbours' light differs by more than `unrest` (standard
+    deviation over mean). Weights: a squared tent of 4x4 points, the 16th power of the
+    normals' cosine, a falloff like exp(-distance from the pixel's tangent plane * rcp_tolerance (H, W) 1/m).
+    """
+    height, width = mask.shape
+    out, weak = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.bool_)
+    _spread_lattice(height, values, position_l, normal_l, mask_l, position, normal, mask, rcp_tolerance, step, unrest, out,
+                    weak)
     return out, weak
 
 
@@ -78,11 +85,9 @@ def _likeness(p, n, q, m, rcp_tolerance):
 
 
 @pixel_jit
-def pilot_means(light, position, normal, mask, rcp_tolerance):
-    """(h, w, 2) float32: mean light (over colours) of the 3x3 like neighbours of each lattice point, and its variance."""
+def _pilot_means(begin, end, light, position, normal, mask, rcp_tolerance, out):
     height, width = mask.shape
-    out = np.zeros((height, width, 2), np.float32)
-    for i in prange(height):
+    for i in range(begin, end):
         for j in range(width):
             if not mask[i, j]:
                 continue
@@ -96,6 +101,13 @@ def pilot_means(light, position, normal, mask, rcp_tolerance):
                         mean += k * (light[u, v, 0] + light[u, v, 1] + light[u, v, 2]) * f32(1 / 3)
                         variance += k * k * light[u, v, 4]
             out[i, j, 0], out[i, j, 1] = mean / total, variance / (total * total)
+
+
+def pilot_means(light, position, normal, mask, rcp_tolerance):
+    """(h, w, 2) float32: mean light (over colours) of the 3x3 like neighbours of each lattice point, and its variance."""
+    height, width = mask.shape
+    out = np.zeros((height, width, 2), np.float32)
+    _pilot_means(height, light, position, normal, mask, rcp_tolerance, out)
     return out
 
 
@@ -117,17 +129,9 @@ def _solve_intercept(a, b, ridge):
 
 
 @pixel_jit
-def regress_lattice(light, pilot, position, normal, mask, rcp_tolerance, radius, contrast, ridge):
-    """Light (h, w, 5) of a lattice freed of noise: at each point the intercept of a weighted linear fit, (h, w, 3) float32.
-
-    The fit runs over the like neighbours within `radius` in the two directions of the surface and in the unshadowed light,
-    which is known without noise: where visibility is even, light follows it into corners, and where it is not, the
-    slope says so (regression with a control variate; the linear form of Bitterli et al. 2016). Neighbours
-    whose pilot mean differs by more than its noise count less, by `contrast` standard deviations.
-    """
+def _regress_lattice(begin, end, light, pilot, position, normal, mask, rcp_tolerance, radius, contrast, ridge, out):
     height, width = mask.shape
-    out = np.zeros((height, width, 3), np.float32)
-    for i in prange(height):
+    for i in range(begin, end):
         a, b, f = np.empty((4, 4), np.float32), np.empty((4, 3), np.float32), np.empty(4, np.float32)
         for j in range(width):
             if not mask[i, j]:
@@ -169,18 +173,26 @@ def regress_lattice(light, pilot, position, normal, mask, rcp_tolerance, radius,
                     a[r, c] = a[c, r]
             red, green, blue = _solve_intercept(a, b, ridge)
             out[i, j, 0], out[i, j, 1], out[i, j, 2] = max(red, ZERO), max(green, ZERO), max(blue, ZERO)
+
+
+def regress_lattice(light, pilot, position, normal, mask, rcp_tolerance, radius, contrast, ridge):
+    """Light (h, w, 5) of a lattice freed of noise: at each point the intercept of a weighted linear fit, (h, w, 3) float32.
+
+    The fit runs over the like neighbours within `radius` in the two directions of the surface and in the unshadowed light,
+    which is known without noise: where visibility is even, light follows it into corners, and where it is not, the
+    slope says so (regression with a control variate; the linear form of Bitterli et al. 2016). Neighbours
+    whose pilot mean differs by more than its noise count less, by `contrast` standard deviations.
+    """
+    height, width = mask.shape
+    out = np.zeros((height, width, 3), np.float32)
+    _regress_lattice(height, light, pilot, position, normal, mask, rcp_tolerance, radius, contrast, ridge, out)
     return out
 
 
 @pixel_jit
-def smooth_marked(light, marked, position, normal, mask, rcp_tolerance):
-    """In place: the `marked` pixels of (H, W, 3) light become the mean of their 5x5 neighbours of like plane and normal.
-
-    They were gathered one by one, each with noise of its own, and lie in a row along a crease.
-    """
+def _smooth_marked(begin, end, light, marked, position, normal, mask, rcp_tolerance, before):
     height, width = mask.shape
-    before = light.copy()
-    for i in prange(height):
+    for i in range(begin, end):
         for j in range(width):
             if not marked[i, j]:
                 continue
@@ -196,3 +208,13 @@ def smooth_marked(light, marked, position, normal, mask, rcp_tolerance):
                         blue += k * before[u, v, 2]
             if total > ZERO:
                 light[i, j, 0], light[i, j, 1], light[i, j, 2] = red / total, green / total, blue / total
+
+
+def smooth_marked(light, marked, position, normal, mask, rcp_tolerance):
+    """In place: the `marked` pixels of (H, W, 3) light become the mean of their 5x5 neighbours of like plane and normal.
+
+    They were gathered one by one, each with noise of its own, and lie in a row along a crease.
+    """
+    height, width = mask.shape
+    before = light.copy()
+    _smooth_marked(height, light, marked, position, normal, mask, rcp_tolerance, before)

@@ -34,7 +34,7 @@ from .clusters import (
     NORMAL,
     TO_LIGHT,
 )
-from .jit import inline_jit, pixel_jit, prange
+from .jit import inline_jit, pixel_jit
 from .sampling import near_weight, uniform
 from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_column, scaled, sub
 
@@ -44,7 +44,6 @@ NEAR = f32(1)               # a cluster nearer than its radius is summed texel b
 MAX_SHARES = f32(8)         # a ray may give at most this many times its fair share: bounds rare bright rays
 CANDIDATES = 4              # texels of a far cluster that compete for a ray
 NEAR_TEXELS = 8192          # texels of near clusters that a point weighs one by one; clusters beyond count as far
-POINTS_A_BLOCK = 32         # points that one thread takes at a time, so that scratch is allocated once for them
 
 
 @inline_jit
@@ -223,6 +222,16 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
 
 
 @pixel_jit
+def _gather_visible(begin, end, position, normal, ids, clusters, eps2, bvh, rays, offset_m, seed, out):
+    n_clusters = clusters.table.shape[1]
+    w, at, stack = np.empty(n_clusters, np.float32), np.empty(n_clusters, np.int32), np.empty(STACK, np.int32)
+    gives_near = np.empty(NEAR_TEXELS, np.float32)
+    for m in range(begin, end):
+        p, n = load(position, m), load(normal, m)
+        out[m, 0], out[m, 1], out[m, 2], out[m, 3], out[m, 4] = _gather_at(
+            p, n, ids[m], clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack)
+
+
 def gather_visible(position, normal, ids, clusters, eps2, bvh, rays, offset_m, seed):
     """Irradiance at points (M, 3) with unit normals (M, 3) by `rays` shadow rays each, as (M, 5) float32.
 
@@ -230,13 +239,6 @@ def gather_visible(position, normal, ids, clusters, eps2, bvh, rays, offset_m, s
     `ids` (M,) int64 seeds each point's random numbers; `eps2` m2 keeps 1 / r^2 finite on the texel itself; `offset_m`
     lifts both ends of a ray off their surfaces.
     """
-    number, n_clusters = position.shape[0], clusters.table.shape[1]
-    out = np.zeros((number, 5), np.float32)
-    for block in prange((number + POINTS_A_BLOCK - 1) // POINTS_A_BLOCK):
-        w, at, stack = np.empty(n_clusters, np.float32), np.empty(n_clusters, np.int32), np.empty(STACK, np.int32)
-        gives_near = np.empty(NEAR_TEXELS, np.float32)
-        for m in range(block * POINTS_A_BLOCK, min(number, (block + 1) * POINTS_A_BLOCK)):
-            p, n = load(position, m), load(normal, m)
-            out[m, 0], out[m, 1], out[m, 2], out[m, 3], out[m, 4] = _gather_at(
-                p, n, ids[m], clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack)
+    out = np.zeros((len(position), 5), np.float32)
+    _gather_visible(len(position), position, normal, ids, clusters, eps2, bvh, rays, offset_m, seed, out)
     return out

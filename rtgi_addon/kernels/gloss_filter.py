@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from .filters import falloff
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .reflect import NEARNESS, SHARE
 from .screen import seen_vs
 from .shadow import ORTHOGRAPHIC
@@ -55,11 +55,9 @@ def _difference(s, roughness, i, j, u, v, step_m):
 
 
 @pixel_jit
-def blur_of_pixels(results, screen, roughness, step, traced, reach):
-    """(H, W) float32 m: sigma of each traced pixel, by the nearest that its 3x3 traced neighbours see (see the module)."""
+def _blur_of_pixels(begin, end, results, screen, roughness, step, traced, reach, out):
     height, width = traced.shape
-    out = np.zeros((height, width), np.float32)
-    for i in prange(height):
+    for i in range(begin, end):
         for j in range(width):
             if not traced[i, j]:
                 continue
@@ -71,18 +69,20 @@ def blur_of_pixels(results, screen, roughness, step, traced, reach):
             if screen.projection != ORTHOGRAPHIC:
                 near += ONE / length(seen_vs(screen, i, j))
             out[i, j] = reach * roughness[i, j] * roughness[i, j] / max(near, f32(1e-20))
+
+
+def blur_of_pixels(results, screen, roughness, step, traced, reach):
+    """(H, W) float32 m: sigma of each traced pixel, by the nearest that its 3x3 traced neighbours see (see the module)."""
+    height, width = traced.shape
+    out = np.zeros((height, width), np.float32)
+    _blur_of_pixels(height, results, screen, roughness, step, traced, reach, out)
     return out
 
 
 @pixel_jit
-def smooth_reflections(results, blur, wanted, screen, roughness, step, traced, radius):
-    """(H, W, FILTERED) float32 for the `wanted` of the traced pixels: mean of the like neighbours within the lobe's blur.
-
-    `radius` is in steps. Of two pixels the smaller blur decides, so that what stands near does not run into what is far.
-    """
+def _smooth_reflections(begin, end, results, blur, wanted, screen, roughness, step, traced, radius, out):
     height, width = traced.shape
-    out = np.zeros((height, width, FILTERED), np.float32)
-    for i in prange(height):
+    for i in range(begin, end):
         for j in range(width):
             if not wanted[i, j]:
                 continue
@@ -106,18 +106,28 @@ def smooth_reflections(results, blur, wanted, screen, roughness, step, traced, r
                         out[i, j, c] += k * results[u, v, c]
             for c in range(FILTERED):
                 out[i, j, c] /= total
+
+
+def smooth_reflections(results, blur, wanted, screen, roughness, step, traced, radius):
+    """(H, W, FILTERED) float32 for the `wanted` of the traced pixels: mean of the like neighbours within the lobe's blur.
+
+    `radius` is in steps. Of two pixels the smaller blur decides, so that what stands near does not run into what is far.
+    """
+    height, width = traced.shape
+    out = np.zeros((height, width, FILTERED), np.float32)
+    _smooth_reflections(height, results, blur, wanted, screen, roughness, step, traced, radius, out)
     return out
 
 
 @pixel_jit
-def spread_reflections(smooth, blur, screen, roughness, step, traced, weak):
+def spread_reflections(begin, end, smooth, blur, screen, roughness, step, traced, weak):
     """Fill the pixels of `smooth` that were not traced from the sixteen around them that may have been; in place.
 
     `weak` (H, W) bool becomes True where that fails: where no like neighbour was found, and where neighbours differ although
     the lobe blurs less than they lie apart, as at the foot of what is reflected. Pixels of step 0 do not reflect.
     """
     height, width = traced.shape
-    for i in prange(height):
+    for i in range(begin, end):
         for j in range(width):
             s = step[i, j]
             if s <= 1 or traced[i, j]:

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from .bvh import STACK, Bvh
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .light_grid import HALF, LightGrid, corner_weights, trilinear_weights
 from .vec3 import ONE, ZERO, along, f32, load
 
@@ -125,10 +125,10 @@ def fuzzy_blockers(grid: LightGrid, surfaces: list[tuple[np.ndarray, np.ndarray,
 
 # ---- propagation ----
 @pixel_jit
-def _propagate(state, links, fuzzy, use_fuzzy, clamp, table, active, out, out_active, total):
+def _propagate(begin, end, state, links, fuzzy, use_fuzzy, clamp, table, active, out, out_active, total):
     """One step: `out` from `state`, and `total` more by it. Rows along z without light around them cost nothing."""
     nx, ny, nz = links.shape[1], links.shape[2], links.shape[3]
-    for row in prange(nx * ny):
+    for row in range(begin, end):
         i, j = row // ny, row % ny
         out_active[i, j] = False
         for c in range(3):
@@ -202,8 +202,8 @@ def propagate(state: np.ndarray, grid: LightGrid, residual: float, most: int, *,
     injected = float(flux_of(state).sum())
     left, steps = 1.0, 0
     while steps < most and left > residual and injected > 0:
-        _propagate(state, grid.links, blockers, fuzzy is not None and steps > 0, clamp, table, active, out, out_active,
-                   total)
+        _propagate(active.size, state, grid.links, blockers, fuzzy is not None and steps > 0, clamp, table, active, out,
+                   out_active, total)
         state, out = out, state if steps else np.empty_like(state)       # what the caller injected stays as it is
         active, out_active = out_active, active
         steps += 1
@@ -224,24 +224,23 @@ def _interpolated(total, i, j, k, w, a, c):
 
 
 @pixel_jit
-def _irradiance(position, normal, total, grid, bvh, offset_m, by_sight, damps, scale, out):
-    for block in prange((position.shape[0] + 63) // 64):
-        w, back, stack = np.empty(16, np.float32), np.empty(8, np.float32), np.empty(STACK, np.int32)
-        here, behind = np.empty(4, np.float32), np.empty(4, np.float32)
-        for m in range(block * 64, min(position.shape[0], block * 64 + 64)):
-            p, n = load(position, m), load(normal, m)
-            if by_sight:
-                i, j, k = corner_weights(p, n, grid, bvh, stack, offset_m, w)
-            else:
-                i, j, k = trilinear_weights(along(p, n, HALF * grid.cell_m), grid, w)
-            x, y, z = trilinear_weights(along(p, n, -HALF * grid.cell_m), grid, back)
-            for a in range(3):
-                _interpolated(total, i, j, k, w, a, here)
-                value = f32(LOBE0) * here[0] - f32(LOBE1) * (n.x * here[1] + n.y * here[2] + n.z * here[3])
-                if damps:
-                    _interpolated(total, x, y, z, back, a, behind)
-                    value *= _damping(here, behind)
-                out[m, a] = scale * max(value, ZERO)
+def _irradiance(begin, end, position, normal, total, grid, bvh, offset_m, by_sight, damps, scale, out):
+    w, back, stack = np.empty(16, np.float32), np.empty(8, np.float32), np.empty(STACK, np.int32)
+    here, behind = np.empty(4, np.float32), np.empty(4, np.float32)
+    for m in range(begin, end):
+        p, n = load(position, m), load(normal, m)
+        if by_sight:
+            i, j, k = corner_weights(p, n, grid, bvh, stack, offset_m, w)
+        else:
+            i, j, k = trilinear_weights(along(p, n, HALF * grid.cell_m), grid, w)
+        x, y, z = trilinear_weights(along(p, n, -HALF * grid.cell_m), grid, back)
+        for a in range(3):
+            _interpolated(total, i, j, k, w, a, here)
+            value = f32(LOBE0) * here[0] - f32(LOBE1) * (n.x * here[1] + n.y * here[2] + n.z * here[3])
+            if damps:
+                _interpolated(total, x, y, z, back, a, behind)
+                value *= _damping(here, behind)
+            out[m, a] = scale * max(value, ZERO)
 
 
 @device_jit
@@ -268,6 +267,6 @@ def irradiance(position: np.ndarray, normal: np.ndarray, total: np.ndarray, grid
     """
     out = np.zeros((len(position), 3), np.float32)
     scale = 4 / float(grid.cell_m) ** 2 * (READOUT if by_sight else 1.0)
-    _irradiance(np.ascontiguousarray(position, np.float32), np.ascontiguousarray(normal, np.float32), total, grid, bvh,
-                f32(offset_m), by_sight, damps, f32(scale), out)
+    _irradiance(len(position), np.ascontiguousarray(position, np.float32), np.ascontiguousarray(normal, np.float32), total,
+                grid, bvh, f32(offset_m), by_sight, damps, f32(scale), out)
     return out

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from .fastmath import PI, fast_sin, fraction
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .sampling import TWO_PI
 from .screen import TINY, dither, point_vs, seen_normal_vs, to_viewer_vs, turn_to_view, turn_to_world
 from .shadow import ORTHOGRAPHIC
@@ -222,25 +222,11 @@ def _bend(w, closed, directions):
 
 
 @pixel_jit
-def sector_visibility(s, groups, height, width, step, margin, radius, thickness, slices, steps, directions, seed):
-    """Cosine-weighted visibility within `radius` m by 64 sectors a slice: (4, height, width) float32.
-
-    Plane 0 is V in [0, 1], planes 1 to 3 the mean open direction in the world times V (zero without `directions`).
-
-    s : Screen, `margin` pixels wider on every side than the picture.
-    groups : (n, LANES) int32, flat indices of lattice points; what is in none of them gets V = 1.
-    height, width, step : size of the lattice and pixels between its points.
-    thickness : metres of solid that stand behind what the camera sees.
-    slices, steps : planes around the viewer's direction, and taps to each side of them.
-    directions : `sector_directions()`, or an array of length 0 to leave the bent normals out.
-
-    Taps past the picture's edge are not taken; a slice counts by the share of its taps that lie inside.
-    """
-    out = np.zeros((4, height, width), np.float32)
-    out[0] = ONE
+def _sector_visibility(begin, end, s, groups, height, width, step, margin, radius, thickness, slices, steps, directions,
+                       seed, out):
     planes = out.reshape(4, height * width)
     flat = s.depth.reshape(-1)
-    for m in prange(groups.shape[0]):
+    for m in range(begin, end):
         w, closed, group = np.empty(_ROW_COUNT * LANES, np.float32), np.empty(LANES, np.uint64), groups[m]
         _begin(s, w, group, width, step, margin, seed)
         for k in range(slices):
@@ -271,6 +257,26 @@ def sector_visibility(s, groups, height, width, step, margin, radius, thickness,
                 bent = along(scaled(bent, rcp), whole, -light * rcp)
                 bent = turn_to_world(s, along(bent, _vector(w, _NORMAL, x), light * LOBE))
                 planes[1, group[x]], planes[2, group[x]], planes[3, group[x]] = bent.x, bent.y, bent.z
+
+
+def sector_visibility(s, groups, height, width, step, margin, radius, thickness, slices, steps, directions, seed):
+    """Cosine-weighted visibility within `radius` m by 64 sectors a slice: (4, height, width) float32.
+
+    Plane 0 is V in [0, 1], planes 1 to 3 the mean open direction in the world times V (zero without `directions`).
+
+    s : Screen, `margin` pixels wider on every side than the picture.
+    groups : (n, LANES) int32, flat indices of lattice points; what is in none of them gets V = 1.
+    height, width, step : size of the lattice and pixels between its points.
+    thickness : metres of solid that stand behind what the camera sees.
+    slices, steps : planes around the viewer's direction, and taps to each side of them.
+    directions : `sector_directions()`, or an array of length 0 to leave the bent normals out.
+
+    Taps past the picture's edge are not taken; a slice counts by the share of its taps that lie inside.
+    """
+    out = np.zeros((4, height, width), np.float32)
+    out[0] = ONE
+    _sector_visibility(groups.shape[0], s, groups, height, width, step, margin, radius, thickness, slices, steps, directions,
+                       seed, out)
     return out
 
 
@@ -337,17 +343,11 @@ def _raise_horizon(s, w, radius, has_falloff):
 
 
 @pixel_jit
-def published_visibility(s, groups, height, width, step, margin, radius, bias, has_falloff, directions, steps, seed):
-    """Visibility by horizons as Bavoil et al. (2008) published it: (1, height, width) float32, uniform in solid angle.
-
-    V = 1 - 1 / directions * sum over directions and taps of (sin h_i - sin h_{i-1}) W_i, with h_0 the tangent's elevation
-    over the view's XY plane plus `bias` rad, and W = 1 - r^2 / radius^2, or 1 without `has_falloff`. Arguments and edges as
-    for `sector_visibility`; taps lie at even steps.
-    """
-    out = np.ones((1, height, width), np.float32)
+def _published_visibility(begin, end, s, groups, height, width, step, margin, radius, bias, has_falloff, directions, steps,
+                          seed, out):
     plane = out.reshape(height * width)
     flat = s.depth.reshape(-1)
-    for m in prange(groups.shape[0]):
+    for m in range(begin, end):
         w, group = np.empty(_ROW_COUNT * LANES, np.float32), groups[m]
         _begin(s, w, group, width, step, margin, seed)
         for k in range(directions):
@@ -360,24 +360,29 @@ def published_visibility(s, groups, height, width, step, margin, radius, bias, h
                 w[_LIGHT + x] += w[_KNOWN + x] * (ONE - w[_HIGH + x])
         for x in range(LANES):
             plane[group[x]] = min(max(w[_LIGHT + x] / max(w[_OPEN + x], TINY), ZERO), ONE)
+
+
+def published_visibility(s, groups, height, width, step, margin, radius, bias, has_falloff, directions, steps, seed):
+    """Visibility by horizons as Bavoil et al. (2008) published it: (1, height, width) float32, uniform in solid angle.
+
+    V = 1 - 1 / directions * sum over directions and taps of (sin h_i - sin h_{i-1}) W_i, with h_0 the tangent's elevation
+    over the view's XY plane plus `bias` rad, and W = 1 - r^2 / radius^2, or 1 without `has_falloff`. Arguments and edges as
+    for `sector_visibility`; taps lie at even steps.
+    """
+    out = np.ones((1, height, width), np.float32)
+    _published_visibility(groups.shape[0], s, groups, height, width, step, margin, radius, bias, has_falloff, directions,
+                          steps, seed, out)
     return out
 
 
 @pixel_jit
-def sphere_visibility(s, groups, height, width, step, margin, radius, samples, is_oriented, seed):
-    """Share of a ball around each point that the depth image does not hide: (1, height, width) float32.
-
-    `samples` (n, 3) float32 are points of the unit ball, mirrored at a plane of its own for each pixel. Without
-    `is_oriented` all of them count, and V = min(1, 2 x the visible share) (Mittring 2007). With it they are turned to the
-    normal's side, and a sample farther than `radius` under the surface that is seen before it is not hidden by it.
-    """
-    out = np.ones((1, height, width), np.float32)
+def _sphere_visibility(begin, end, s, groups, height, width, step, margin, radius, samples, is_oriented, seed, out):
     plane = out.reshape(height * width)
     flat = s.depth.reshape(-1)
     is_parallel, deepest = s.projection == ORTHOGRAPHIC, radius if is_oriented else FAR
     tall, wide = f32(s.depth.shape[0]), f32(s.depth.shape[1])
     left, top, step_x, step_y = s.left, s.top, s.step_x, s.step_y
-    for m in prange(groups.shape[0]):
+    for m in range(begin, end):
         w, group = np.empty(_ROW_COUNT * LANES, np.float32), groups[m]
         _begin(s, w, group, width, step, margin, seed)
         for x in range(LANES):
@@ -429,4 +434,15 @@ def sphere_visibility(s, groups, height, width, step, margin, radius, samples, i
         for x in range(LANES):
             share = w[_LIGHT + x] / w[_OPEN + x] if w[_OPEN + x] > ZERO else ONE
             plane[group[x]] = share if is_oriented else min(ONE, TWO * share)
+
+
+def sphere_visibility(s, groups, height, width, step, margin, radius, samples, is_oriented, seed):
+    """Share of a ball around each point that the depth image does not hide: (1, height, width) float32.
+
+    `samples` (n, 3) float32 are points of the unit ball, mirrored at a plane of its own for each pixel. Without
+    `is_oriented` all of them count, and V = min(1, 2 x the visible share) (Mittring 2007). With it they are turned to the
+    normal's side, and a sample farther than `radius` under the surface that is seen before it is not hidden by it.
+    """
+    out = np.ones((1, height, width), np.float32)
+    _sphere_visibility(groups.shape[0], s, groups, height, width, step, margin, radius, samples, is_oriented, seed, out)
     return out

@@ -1,5 +1,9 @@
 """The only file that holds numba's options: three decorators, the cache's place, threads, and the compile clock.
 
+Kernels over many items are serial functions of a range of them, and Python threads share the ranges out. Numba's own
+parallel loops compile a third slower, give every thread one equal part however unequal the work in it is, and abort the
+process when two threads enter them with some threading layers.
+
 FAST is every fast-math flag but `nnan` and `ninf`: kernels test for NaN, and those two would make the tests lie. The
 cache folder is named by a hash of all kernel and pass sources, because numba checks only the file of the caller and
 would serve stale code after an edit of a helper elsewhere.
@@ -8,27 +12,23 @@ would serve stale code after an edit of a helper elsewhere.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numba
-import numpy as np
-from numba import prange
 from numba.core import event, types
 
 from ..core.cache_root import cache_root
 
-__all__ = ["cache_dir", "compiled_s", "device_jit", "inline_jit", "kernel_session", "pixel_jit", "prange",
-           "probe_threading_layer", "threading_layer"]
+__all__ = ["cache_dir", "compiled_s", "device_jit", "inline_jit", "kernel_session", "most_threads",
+           "pixel_jit"]
 
-# loops are parallel where they say so. Array expressions are not: numba would compile each as a kernel of its own, and
-# compiling takes a sixth less without
-PRANGE_ONLY = {"prange": True, "comprehension": False, "reduction": False, "inplace_binop": False, "setitem": False,
-               "numpy": False, "stencil": False, "fusion": False}
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 _PACKAGE = Path(__file__).resolve().parent.parent
 _kernel_lock = threading.Lock()
@@ -90,44 +90,84 @@ def inline_jit(function: Callable) -> Callable:
         _with_cache(numba.njit(fastmath=FAST, error_model="numpy", nogil=True, cache=True, forceinline=True))(function))
 
 
+class _Workers:
+    """Threads of a kernel session beside the one that calls; none outside a session."""
+
+    def __init__(self) -> None:
+        self.pool: ThreadPoolExecutor | None = None
+        self.number = 0
+
+    def share(self, kernel: Callable, number: int, args: tuple) -> None:
+        """Call kernel(begin, end, *args) until range(number) is covered, on all threads.
+
+        Each range is a part of what is left: large ones first, small ones even out the end.
+        """
+        if self.pool is None or number < 2:
+            kernel(0, number, *args)
+            return
+        ranges = _shrinking_ranges(number, self.number + 1)
+        lock = threading.Lock()                  # a generator can't be entered by two threads at once
+
+        def work() -> None:
+            while True:
+                with lock:
+                    begin, end = next(ranges, (number, number))
+                if begin >= end:
+                    return
+                kernel(begin, end, *args)
+
+        others = [self.pool.submit(work) for _ in range(self.number)]
+        try:
+            work()
+        finally:
+            for other in others:                 # they write to the caller's arrays: never leave them behind
+                other.result()
+
+
+def _shrinking_ranges(number: int, threads: int) -> Iterator[tuple[int, int]]:
+    """Ranges that cover range(number), each a share of what is left and at least a 32nd of a thread's even part."""
+    begin, least = 0, max(1, number // (32 * threads))
+    while begin < number:
+        end = min(number, begin + max(least, (number - begin) // (2 * threads)))
+        yield begin, end
+        begin = end
+
+
+_workers = _Workers()
+
+
 def pixel_jit(function: Callable) -> Callable:
-    """A kernel over independent pixels, texels or points with `prange`; bitwise the same on any number of threads."""
-    return _with_cache(
-        numba.njit(fastmath=FAST, error_model="numpy", nogil=True, parallel=PRANGE_ONLY, cache=True))(function)
+    """A kernel over independent pixels, texels or points, on the threads of the `kernel_session`.
+
+    The function takes (begin, end, *args), handles the items of range(begin, end), writes to arrays among its arguments and
+    returns nothing. It is called as kernel(number, *args). The result is bitwise the same on any number of threads.
+    """
+    kernel = device_jit(function)
+
+    @functools.wraps(function)
+    def shared(number: int, *args: Any) -> None:
+        _workers.share(kernel, number, args)
+
+    return shared
+
+
+def most_threads() -> int:
+    """Processors that this process may use, or $NUMBA_NUM_THREADS."""
+    return numba.config.NUMBA_NUM_THREADS
 
 
 @contextlib.contextmanager
 def kernel_session(threads: int = 0) -> Iterator[None]:
-    """Run kernels on `threads` threads (0: all); one session at a time, since some threading layers abort otherwise."""
+    """Run kernels on `threads` threads (0: `most_threads`), one session at a time; outside of one on their caller's."""
     with _kernel_lock:
-        before = numba.get_num_threads()
-        most = numba.config.NUMBA_NUM_THREADS
-        numba.set_num_threads(min(threads, most) if threads > 0 else most)
-        try:
-            yield
-        finally:
-            numba.set_num_threads(before)
-
-
-def threading_layer() -> str:
-    """Name of numba's threading layer, or "none yet" before the first parallel kernel ran."""
-    try:
-        return numba.threading_layer()
-    except ValueError:
-        return "none yet"
-
-
-@pixel_jit
-def _count_up(out: np.ndarray) -> None:
-    for i in prange(out.size):
-        out[i] = np.float32(i)
-
-
-def probe_threading_layer() -> tuple[str, int]:
-    """Name of the threading layer and the number of its threads, after a kernel of a few numbers ran on it."""
-    with kernel_session():
-        _count_up(np.zeros(64, np.float32))
-        return numba.threading_layer(), numba.get_num_threads()
+        number = min(threads, most_threads()) if threads > 0 else most_threads()
+        with ThreadPoolExecutor(max(number - 1, 1), "rtgi kernels") as pool:
+            _workers.number = number - 1
+            _workers.pool = pool if number > 1 else None
+            try:
+                yield
+            finally:
+                _workers.pool, _workers.number = None, 0
 
 
 _compile_clock = event.TimingListener()

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .bvh import is_occluded
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, lifted
 
 HALF, TWO = f32(0.5), f32(2)
@@ -46,7 +46,7 @@ def close_links(grid: LightGrid, corners_ws: np.ndarray, transmittance: np.ndarr
     Of several triangles on one link the least transparent counts. Triangles that are not finite or have no area close
     nothing. The same for every order of the triangles.
     """
-    _close_links(np.ascontiguousarray(corners_ws, np.float32), np.ascontiguousarray(transmittance, np.float32),
+    _close_links(3, np.ascontiguousarray(corners_ws, np.float32), np.ascontiguousarray(transmittance, np.float32),
                  grid.low.astype(np.float64), float(grid.cell_m), grid.links)
 
 
@@ -57,8 +57,8 @@ def _lines(a, b, c, number):
 
 
 @pixel_jit
-def _close_links(corners, transmittance, low, cell_m, links):
-    for a in prange(3):
+def _close_links(begin, end, corners, transmittance, low, cell_m, links):
+    for a in range(begin, end):
         u, v = (a + 1) % 3, (a + 2) % 3
         size = (links.shape[1], links.shape[2], links.shape[3])
         at = np.zeros(3, np.int64)

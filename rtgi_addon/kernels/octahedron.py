@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .vec3 import ONE, ZERO, f32, load_pixel
 
 HALF = f32(0.5)
@@ -44,12 +44,17 @@ def table_at(table, d):
 
 
 @pixel_jit
+def _look_up(begin, end, table, direction, mask, out):
+    height, width = mask.shape
+    for i in range(begin, end):
+        for j in range(width):
+            if mask[i, j]:
+                out[i, j, 0], out[i, j, 1], out[i, j, 2] = table_at(table, load_pixel(direction, i, j))
+
+
 def look_up(table, direction, mask):
     """(H, W, 3) float32: `table` (n, n, 3) at directions (H, W, 3), linear between its nodes; zero outside `mask` (H, W)."""
     height, width = mask.shape
     out = np.zeros((height, width, 3), np.float32)
-    for i in prange(height):
-        for j in range(width):
-            if mask[i, j]:
-                out[i, j, 0], out[i, j, 1], out[i, j, 2] = table_at(table, load_pixel(direction, i, j))
+    _look_up(height, table, direction, mask, out)
     return out

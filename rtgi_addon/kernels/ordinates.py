@@ -16,7 +16,7 @@ import numpy as np
 from .brdf import albedo_table, fresnel, ggx_lobe, lobe_albedos
 from .bvh import STACK, Bvh
 from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .light_grid import RAMP, LightGrid, seen_cells, trilinear_weights
 from .vec3 import ONE, ZERO, Vec3, dot, f32, load, load_column
 
@@ -132,26 +132,26 @@ def _glossy_lobe(lobe, n, to_light, alpha2, f0, direction, solid_angle, albedos,
 
 
 @pixel_jit
-def _prepare(table, grid, bvh, offset_m, direction, solid_angle, albedos, least_alpha, diffuse, glossy, corner, seen):
-    for block in prange((table.shape[1] + 15) // 16):
-        stack = np.empty(STACK, np.int32)
-        for t in range(block * 16, min(table.shape[1], block * 16 + 16)):
-            n = load_column(table, NORMAL, t)
-            corner[t, 0], corner[t, 1], corner[t, 2] = seen_cells(load_column(table, POSITION, t), n, grid, bvh, stack,
-                                                                  offset_m, seen[t])
-            _cosine_lobe(diffuse[t], n, direction, solid_angle)
-            if table[ALPHA2, t] < NO_LOBE:
-                _glossy_lobe(glossy[t], n, load_column(table, TO_LIGHT, t), table[ALPHA2, t], table[F0, t], direction,
-                             solid_angle, albedos, least_alpha)
+def _prepare(begin, end, table, grid, bvh, offset_m, direction, solid_angle, albedos, least_alpha, diffuse, glossy, corner,
+             seen):
+    stack = np.empty(STACK, np.int32)
+    for t in range(begin, end):
+        n = load_column(table, NORMAL, t)
+        corner[t, 0], corner[t, 1], corner[t, 2] = seen_cells(load_column(table, POSITION, t), n, grid, bvh, stack,
+                                                              offset_m, seen[t])
+        _cosine_lobe(diffuse[t], n, direction, solid_angle)
+        if table[ALPHA2, t] < NO_LOBE:
+            _glossy_lobe(glossy[t], n, load_column(table, TO_LIGHT, t), table[ALPHA2, t], table[F0, t], direction,
+                         solid_angle, albedos, least_alpha)
 
 
 @pixel_jit
-def _inject(flux, table, grid, local, diffuse, glossy, corner, seen):
+def _inject(begin, end, flux, table, grid, local, diffuse, glossy, corner, seen):
     shape = (grid.links.shape[1], grid.links.shape[2], grid.links.shape[3])
     stride, step = (shape[1] * shape[2], shape[2], 1), (16, 4, 1)
     inv = ONE / grid.cell_m
     lanes, quadrant = local.shape[0], local.shape[0] // 4
-    for g in prange(6):                          # each group has its own part of the flux: adding up is no race
+    for g in range(begin, end):                          # each group has its own part of the flux: adding up is no race
         a, sign = g // 2, 1 - 2 * (g % 2)
         u, v = (a + 1) % 3, (a + 2) % 3
         for t in range(table.shape[1]):
@@ -220,18 +220,18 @@ def inject(flux: np.ndarray, n: int, table: np.ndarray, grid: LightGrid, bvh: Bv
     solid_angle = solid_angle.astype(np.float32)
     diffuse, glossy = np.empty((number, 6, n * n), np.float32), np.empty((number, 6, n * n), np.float32)
     corner, seen = np.empty((number, 3), np.int64), np.empty((number, 64), np.bool_)
-    _prepare(table, grid, bvh, f32(offset_m), directions_ws(n), solid_angle, albedo_table(keeps_energy),
+    _prepare(table.shape[1], table, grid, bvh, f32(offset_m), directions_ws(n), solid_angle, albedo_table(keeps_energy),
              f32(math.pi / (4 * n)), diffuse, glossy, corner, seen)
-    _inject(flux, table, grid, local.astype(np.float32), diffuse, glossy, corner, seen)
+    _inject(6, flux, table, grid, local.astype(np.float32), diffuse, glossy, corner, seen)
 
 
 # ---- sweep ----
 @pixel_jit
-def _sweep(flux, links, step, ghost):
+def _sweep(begin, end, flux, links, step, ghost):
     shape = (links.shape[1], links.shape[2], links.shape[3])
     stride = (shape[1] * shape[2], shape[2], 1)
     open_to = links.reshape(3, -1)
-    for group in prange(6):
+    for group in range(begin, end):
         a = group // 2
         u, v = (a + 1) % 3, (a + 2) % 3
         n_a, n_u, n_v, d_a, d_u, d_v = shape[a], shape[u], shape[v], stride[a], stride[u], stride[v]
@@ -286,15 +286,15 @@ def sweep(flux: np.ndarray, grid: LightGrid, n: int, ghost: int = 0) -> None:
     layers of cells are not touched: what they hold (`fill_ghosts`) flows in.
     """
     step = step_weights(n).reshape(2, TAPS + 1, 4, 1, -1).repeat(3, 3).reshape(2, TAPS + 1, -1)
-    _sweep(flux, grid.links, step.astype(np.float32), ghost)
+    _sweep(6, flux, grid.links, step.astype(np.float32), ghost)
 
 
 @pixel_jit
-def _fill_ghosts(flux, grid, outer_flux, outer, ghost):
+def _fill_ghosts(begin, end, flux, grid, outer_flux, outer, ghost):
     nx, ny, nz = grid.links.shape[1], grid.links.shape[2], grid.links.shape[3]
     my, mz = outer.links.shape[2], outer.links.shape[3]
     ratio = grid.cell_m / outer.cell_m
-    for i in prange(nx):
+    for i in range(begin, end):
         w = np.empty(8, np.float32)
         for j in range(ny):
             for k in range(nz):
@@ -317,7 +317,7 @@ def _fill_ghosts(flux, grid, outer_flux, outer, ghost):
 
 def fill_ghosts(flux: np.ndarray, grid: LightGrid, outer_flux: np.ndarray, outer: LightGrid) -> None:
     """In place: give the two outermost layers of cells the radiance that a swept, coarser grid around this one has there."""
-    _fill_ghosts(flux, grid, outer_flux, outer, GHOST)
+    _fill_ghosts(grid.links.shape[1], flux, grid, outer_flux, outer, GHOST)
 
 
 # ---- irradiance ----
@@ -371,34 +371,33 @@ def _add_quadrant(light, x, n, corner, seen, grid, flux, g, first, lobe, mean, s
 
 
 @pixel_jit
-def _irradiance(position, normal, flux, grid, bvh, offset_m, direction, solid_angle, axis_cosine, slope, out):
+def _irradiance(begin, end, position, normal, flux, grid, bvh, offset_m, direction, solid_angle, axis_cosine, slope, out):
     quadrant = solid_angle.shape[0] // 4
     inv = ONE / grid.cell_m
-    for block in prange((position.shape[0] + 63) // 64):
-        stack, seen, light = np.empty(STACK, np.int32), np.empty(64, np.bool_), np.empty(3, np.float32)
-        x, n, corner = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.int64)
-        lobe, mean = np.empty(quadrant, np.float32), np.empty(3 * quadrant, np.float32)
-        for m in range(block * 64, min(position.shape[0], block * 64 + 64)):
-            p = load(position, m)
-            corner[0], corner[1], corner[2] = seen_cells(p, load(normal, m), grid, bvh, stack, offset_m, seen)
+    stack, seen, light = np.empty(STACK, np.int32), np.empty(64, np.bool_), np.empty(3, np.float32)
+    x, n, corner = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.int64)
+    lobe, mean = np.empty(quadrant, np.float32), np.empty(3 * quadrant, np.float32)
+    for m in range(begin, end):
+        p = load(position, m)
+        corner[0], corner[1], corner[2] = seen_cells(p, load(normal, m), grid, bvh, stack, offset_m, seen)
+        for a in range(3):
+            x[a], n[a], light[a] = (position[m, a] - grid.low[a]) * inv - HALF, normal[m, a], ZERO
+        whole = ZERO
+        for g in range(6):
+            for q in range(4):
+                here = ZERO
+                for d in range(quadrant):
+                    e = q * quadrant + d
+                    along = n[0] * direction[g, 0, e] + n[1] * direction[g, 1, e] + n[2] * direction[g, 2, e]
+                    cosine = max(-along, ZERO)
+                    lobe[d] = cosine / axis_cosine[e]
+                    here += cosine * solid_angle[e]
+                if here > ZERO and _add_quadrant(light, x, n, corner, seen, grid, flux, g, 3 * q * quadrant, lobe,
+                                                 mean, slope[q, 0], slope[q, 1]):
+                    whole += here
+        if whole > ZERO:
             for a in range(3):
-                x[a], n[a], light[a] = (position[m, a] - grid.low[a]) * inv - HALF, normal[m, a], ZERO
-            whole = ZERO
-            for g in range(6):
-                for q in range(4):
-                    here = ZERO
-                    for d in range(quadrant):
-                        e = q * quadrant + d
-                        along = n[0] * direction[g, 0, e] + n[1] * direction[g, 1, e] + n[2] * direction[g, 2, e]
-                        cosine = max(-along, ZERO)
-                        lobe[d] = cosine / axis_cosine[e]
-                        here += cosine * solid_angle[e]
-                    if here > ZERO and _add_quadrant(light, x, n, corner, seen, grid, flux, g, 3 * q * quadrant, lobe,
-                                                     mean, slope[q, 0], slope[q, 1]):
-                        whole += here
-            if whole > ZERO:
-                for a in range(3):
-                    out[m, a] = light[a] * inv * inv * f32(math.pi) / whole
+                out[m, a] = light[a] * inv * inv * f32(math.pi) / whole
 
 
 def irradiance(position: np.ndarray, normal: np.ndarray, flux: np.ndarray, grid: LightGrid, n: int, bvh: Bvh,
@@ -413,8 +412,8 @@ def irradiance(position: np.ndarray, normal: np.ndarray, flux: np.ndarray, grid:
     local, weight = ordinates(n)
     slope = (local[:, :2] / local[:, 2:] * weight[:, None]).reshape(4, -1, 2).sum(1) / weight.reshape(4, -1).sum(1)[:, None]
     out = np.zeros((len(position), 3), np.float32)
-    _irradiance(np.ascontiguousarray(position, np.float32), np.ascontiguousarray(normal, np.float32), flux, grid, bvh,
-                f32(offset_m), directions_ws(n), weight.astype(np.float32), local[:, 2].astype(np.float32),
+    _irradiance(len(position), np.ascontiguousarray(position, np.float32), np.ascontiguousarray(normal, np.float32), flux,
+                grid, bvh, f32(offset_m), directions_ws(n), weight.astype(np.float32), local[:, 2].astype(np.float32),
                 slope.astype(np.float32), out)
     return out
 

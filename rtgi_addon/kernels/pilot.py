@@ -5,20 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from .bvh import STACK, closest_hit, is_occluded, triangle_normal
-from .jit import pixel_jit, prange
+from .jit import pixel_jit
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .vec3 import ONE, along, dot, f32, lifted, load, scaled, tangent_frame, to_world
 
 
 @pixel_jit
-def lit_hits(position, normal, bvh, to_sun, rays, offset_m, reach_m, seed):
-    """Points seen from (M, 3) points along `rays` cosine-distributed rays each that lie in direction `to_sun`'s light.
-
-    Returns ((M * rays, 3) float32 m, (M * rays,) bool).
-    """
-    number = position.shape[0]
-    out, lit = np.zeros((number * rays, 3), np.float32), np.zeros(number * rays, np.bool_)
-    for m in prange(number):
+def _lit_hits(begin, end, position, normal, bvh, to_sun, rays, offset_m, reach_m, seed, out, lit):
+    for m in range(begin, end):
         stack = np.empty(STACK, np.int32)
         n = load(normal, m)
         tangent, bitangent = tangent_frame(n)
@@ -40,21 +34,35 @@ def lit_hits(position, normal, bvh, to_sun, rays, offset_m, reach_m, seed):
                 k = m * rays + j
                 lit[k] = True
                 out[k, 0], out[k, 1], out[k, 2] = hit.x, hit.y, hit.z
+
+
+def lit_hits(position, normal, bvh, to_sun, rays, offset_m, reach_m, seed):
+    """Points seen from (M, 3) points along `rays` cosine-distributed rays each that lie in direction `to_sun`'s light.
+
+    Returns ((M * rays, 3) float32 m, (M * rays,) bool).
+    """
+    number = position.shape[0]
+    out, lit = np.zeros((number * rays, 3), np.float32), np.zeros(number * rays, np.bool_)
+    _lit_hits(number, position, normal, bvh, to_sun, rays, offset_m, reach_m, seed, out, lit)
     return out, lit
 
 
 @pixel_jit
-def cast_rays(origin, direction, bvh, near, reach):
-    """Nearest triangle along (N, 3) rays: (distance in lengths of the direction (N,) float32, slot (N,) int32 or -1,
-    barycentric u and v (N,) float32)."""
-    number = origin.shape[0]
-    distance, slots = np.full(number, np.inf, np.float32), np.full(number, -1, np.int32)
-    us, vs = np.zeros(number, np.float32), np.zeros(number, np.float32)
-    for i in prange(number):
+def _cast_rays(begin, end, origin, direction, bvh, near, reach, distance, slots, us, vs):
+    for i in range(begin, end):
         stack = np.empty(STACK, np.int32)
         d = load(direction, i)
         start = along(load(origin, i), d, near)
         t, slot, u, v = closest_hit(bvh, stack, start, d, reach)
         if slot >= 0:
             distance[i], slots[i], us[i], vs[i] = t + near, slot, u, v
+
+
+def cast_rays(origin, direction, bvh, near, reach):
+    """Nearest triangle along (N, 3) rays: (distance in lengths of the direction (N,) float32, slot (N,) int32 or -1,
+    barycentric u and v (N,) float32)."""
+    number = origin.shape[0]
+    distance, slots = np.full(number, np.inf, np.float32), np.full(number, -1, np.int32)
+    us, vs = np.zeros(number, np.float32), np.zeros(number, np.float32)
+    _cast_rays(number, origin, direction, bvh, near, reach, distance, slots, us, vs)
     return distance, slots, us, vs

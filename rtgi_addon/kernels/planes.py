@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .screen import HALF, TINY, seen_normal_vs
 from .shadow import ORTHOGRAPHIC
 from .vec3 import ONE, ZERO, f32
@@ -55,15 +55,10 @@ def _add(sums, weight, values):
 
 
 @pixel_jit
-def smooth_planes(s, values, radius, tolerance_px):
-    """Means of `values` (C, H, W) float32 over the (2 radius + 1)^2 neighbours on each pixel's tangent plane.
-
-    `s` is a Screen of the same size. Where nothing is seen the values stay.
-    """
+def _smooth_planes(begin, end, s, values, radius, tolerance_px, out):
     channels, height, width = values.shape
-    out = values.copy()
     is_parallel = s.projection == ORTHOGRAPHIC
-    for i in prange(height):
+    for i in range(begin, end):
         plane, weight, total = np.empty((6, width), np.float32), np.empty(width, np.float32), np.zeros(width, np.float32)
         sums = np.zeros((channels, width), np.float32)
         _tangent_planes(s, i, tolerance_px, plane)
@@ -80,21 +75,25 @@ def smooth_planes(s, values, radius, tolerance_px):
             for j in range(width):
                 if s.depth[i, j] < FAR and total[j] > ZERO:
                     out[c, i, j] = sums[c, j] / total[j]
+
+
+def smooth_planes(s, values, radius, tolerance_px):
+    """Means of `values` (C, H, W) float32 over the (2 radius + 1)^2 neighbours on each pixel's tangent plane.
+
+    `s` is a Screen of the same size. Where nothing is seen the values stay.
+    """
+    channels, height, width = values.shape
+    out = values.copy()
+    _smooth_planes(height, s, values, radius, tolerance_px, out)
     return out
 
 
 @pixel_jit
-def spread_planes(s, coarse, values, step, tolerance_px):
-    """Values (C, h, w) of a lattice, every `step`-th pixel from step // 2 on, at the pixels of `s`: (C, H, W) float32.
-
-    `coarse` is the Screen of the lattice. The four nearest points count by their nearness and by the tangent plane; where
-    they do not lie on it, the twelve around them are asked, and where none does, the one that lies least off counts alone.
-    """
+def _spread_planes(begin, end, s, coarse, values, step, tolerance_px, out):
     channels, h, w = values.shape
     height, width = s.depth.shape
-    out = np.zeros((channels, height, width), np.float32)
     is_parallel = s.projection == ORTHOGRAPHIC
-    for i in prange(height):
+    for i in range(begin, end):
         plane, sums = np.empty((6, width), np.float32), np.empty(channels, np.float32)
         _tangent_planes(s, i, tolerance_px * f32(step), plane)
         fi = (f32(i) - f32(step // 2)) / f32(step)
@@ -136,4 +135,16 @@ def spread_planes(s, coarse, values, step, tolerance_px):
                     out[c, i, j] = values[c, best // w, best % w]
                 else:
                     out[c, i, j] = ONE if c == 0 else ZERO
+
+
+def spread_planes(s, coarse, values, step, tolerance_px):
+    """Values (C, h, w) of a lattice, every `step`-th pixel from step // 2 on, at the pixels of `s`: (C, H, W) float32.
+
+    `coarse` is the Screen of the lattice. The four nearest points count by their nearness and by the tangent plane; where
+    they do not lie on it, the twelve around them are asked, and where none does, the one that lies least off counts alone.
+    """
+    channels, h, w = values.shape
+    height, width = s.depth.shape
+    out = np.zeros((channels, height, width), np.float32)
+    _spread_planes(height, s, coarse, values, step, tolerance_px, out)
     return out

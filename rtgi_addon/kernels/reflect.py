@@ -18,7 +18,7 @@ import numpy as np
 
 from .brdf import fit_lobe, fresnel, sample_lobe
 from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .lit_hits import edge_fade, gloss_of_lamps, lit_there
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .screen import HALF, seen_vs, turn_to_view, turn_to_world, view_vector
@@ -43,7 +43,6 @@ from .vec3 import (
 )
 
 KNOWN, SKY, ASK = 0, 1, 2             # what a ray still needs: nothing, the world, the triangles
-BLOCK = 64                  # pixels that one thread follows in a row
 BACK_PX = 1.5               # pixels by which a ray through the triangles starts before the picture lost it
 # columns of a pixel's results, after the light of hit surfaces and that of emissive surfaces and the world by colour:
 SHARE, WEIGHT, NEARNESS = 6, 7, 8     # how much of the lobe is known, its sum (all before are divided by it at the end), and
@@ -136,9 +135,12 @@ def place_in_block(i, j):
     return (j & 1) | ((i & 1) << 1) | ((j & 2) << 1) | ((i & 2) << 2)
 
 
-@device_jit
-def _draw_block(index, begin, end, samples, s, planes, gloss, rules, seed, rays):
-    """Draw the rays of the pixels begin to end of `index`."""
+@pixel_jit
+def draw_rays(begin, end, index, samples, s, planes, gloss, rules, seed, rays):
+    """Draw `samples` rays from the lobe of each pixel of `index` (M,) into `rays`, which must come from `make_rays`.
+
+    Ray m * samples + k is sample k of pixel m.
+    """
     width = s.depth.shape[1]
     for m in range(begin, end):
         i, j = index[m] // width, index[m] % width
@@ -171,18 +173,6 @@ def _draw_block(index, begin, end, samples, s, planes, gloss, rules, seed, rays)
                 rays.answer[r], rays.share[r], rays.length_m[r] = KNOWN, ONE, rules.reach_m
 
 
-@pixel_jit
-def draw_rays(index, samples, screen, planes, gloss, rules, seed, rays):
-    """Draw `samples` rays from the lobe of each pixel of `index` (M,) into `rays`, which must come from `make_rays`.
-
-    Ray m * samples + k is sample k of pixel m.
-    """
-    blocks = (len(index) + BLOCK - 1) // BLOCK
-    for block in prange(blocks):
-        _draw_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, planes, gloss, rules, seed,
-                    rays)
-
-
 @device_jit
 def _aim_from(m, position, normal, point, samples, offset_m, seed, rays):
     """Aim the rays of point m, of number `point`."""
@@ -200,18 +190,15 @@ def _aim_from(m, position, normal, point, samples, offset_m, seed, rays):
 
 
 @pixel_jit
-def aim_rays(position, normal, ids, samples, offset_m, seed, rays):
+def aim_rays(begin, end, position, normal, ids, samples, offset_m, seed, rays):
     """Aim `samples` rays by the cosine from each of the points (M, 3) with normals (M, 3), left to the triangles."""
-    for m in prange(len(ids)):
+    for m in range(begin, end):
         _aim_from(m, position, normal, ids[m], samples, offset_m, seed, rays)
 
 
-@device_jit
-def _follow_block(index, begin, end, samples, s, pyramid, gloss, lights, rules, seed, rays):
-    """Follow the rays of the pixels begin to end of `index`.
-
-    All of it in one function: the tuples of arrays are hundreds of numbers that each further call would copy.
-    """
+@pixel_jit
+def follow_rays(begin, end, index, samples, s, pyramid, gloss, lights, rules, seed, rays):
+    """Follow the rays that `draw_rays` drew for the pixels of `index` (M,) through the picture."""
     width, reach = s.depth.shape[1], np.float64(rules.reach_m)
     for m in range(begin, end):
         i, j = index[m] // width, index[m] % width
@@ -257,23 +244,14 @@ def _follow_block(index, begin, end, samples, s, pyramid, gloss, lights, rules, 
 
 
 @pixel_jit
-def follow_rays(index, samples, screen, pyramid, gloss, lights, rules, seed, rays):
-    """Follow the rays that `draw_rays` drew for the pixels of `index` (M,) through the picture."""
-    blocks = (len(index) + BLOCK - 1) // BLOCK
-    for block in prange(blocks):
-        _follow_block(index, block * BLOCK, min((block + 1) * BLOCK, len(index)), samples, screen, pyramid, gloss, lights,
-                      rules, seed, rays)
-
-
-@pixel_jit
-def collect_rays(index, samples, rays, is_open, nearest_m, results):
+def collect_rays(begin, end, index, samples, rays, is_open, nearest_m, results):
     """Sum the rays of each pixel of `index` (M,) into its line of `results` (H, W, NEARNESS + 1).
 
     `is_open`: what the picture did not give is left out, and SHARE tells how much was given. Lengths below `nearest_m` count
     as that.
     """
     width = results.shape[1]
-    for m in prange(len(index)):
+    for m in range(begin, end):
         out = results[index[m] // width, index[m] % width]
         for c in range(NEARNESS + 1):
             out[c] = ZERO

@@ -14,7 +14,7 @@ import numpy as np
 from .brdf import lobe_albedos
 from .bvh import STACK, closest_hit, triangle_normal
 from .depth_pyramid import height_at, plane_slopes
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .lit_hits import edge_fade, gloss_of_lamps, light_of_lamps, lit_there
 from .reflect import ASK
 from .sampling import cosine_hemisphere, uniform
@@ -24,7 +24,6 @@ from .sky import sky_texel
 from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
 
 BLURRED = f32(0.3)          # roughness from which the world's blurred map, 2.8 degrees a texel, serves a ray
-BLOCK = 64                  # rays that one thread follows in a row
 
 
 class Surroundings(NamedTuple):
@@ -57,9 +56,9 @@ def _colours_at(around, albedos, t, a, b, cosine):
     return albedo, scaled(Vec3(substance[0], substance[1], substance[2]), reflectance), substance[3]
 
 
-@device_jit
-def _ask_block(asked, begin, end, index, samples, screen, planes, gloss, lights, bvh, around, rules, seed, rays):
-    """Answer the rays begin to end of `asked`; all of it in one function, see `reflect._follow_block`."""
+@pixel_jit
+def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, bvh, around, rules, seed, rays):
+    """Answer the rays `asked` (K,) of `rays`, those of `draw_rays`: what the picture did not give is added."""
     width = screen.depth.shape[1]
     stack, light, other = np.empty(STACK, np.int32), np.empty(6, np.float32), np.empty(3, np.float32)
     for k in range(begin, end):
@@ -120,12 +119,3 @@ def _ask_block(asked, begin, end, index, samples, screen, planes, gloss, lights,
             rays.light[r, c] = known * rays.light[r, c] + (ONE - known) * light[c]
         if known == ZERO:
             rays.length_m[r] = t if slot < 0 else rays.length_m[r] + t
-
-
-@pixel_jit
-def ask_scene(asked, index, samples, screen, planes, gloss, lights, bvh, around, rules, seed, rays):
-    """Answer the rays `asked` (K,) of `rays`, those of `draw_rays`: what the picture did not give is added."""
-    blocks = (len(asked) + BLOCK - 1) // BLOCK
-    for block in prange(blocks):
-        _ask_block(asked, block * BLOCK, min((block + 1) * BLOCK, len(asked)), index, samples, screen, planes, gloss, lights,
-                   bvh, around, rules, seed, rays)

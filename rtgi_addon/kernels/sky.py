@@ -8,7 +8,7 @@ import numpy as np
 
 from .brdf import INV_PI
 from .bvh import STACK, visibility
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .octahedron import table_at
 from .sampling import TWO_PI, cosine_hemisphere, r2_sequence, uniform
 from .vec3 import ONE, ZERO, Vec3, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
@@ -50,20 +50,11 @@ def find_first(cdf, u):
 
 
 @pixel_jit
-def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed):
-    """Irradiance from the sky with visibility at points (M, 3), as (M, 5) float32.
-
-    Columns: irradiance by colour; what an open point would get from the same rays (mean over colours); variance of the mean.
-    W/m2.
-
-    `radiance` (H, W, 3) W/(m2 sr); `cdf` (H W,) float64 running sum of brightness times solid angle, ending at 1; `density`
-    (H, W) float32 1/sr of drawing a direction by it. Of `rays` rays the share `map_share` is drawn by the map, the rest by
-    cosine; both are weighed by the balance heuristic (Veach 1997, Eq. 9.8).
-    """
-    number, height, width = position.shape[0], radiance.shape[0], radiance.shape[1]
+def _gather_sky(begin, end, position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed,
+                out):
+    height, width = radiance.shape[0], radiance.shape[1]
     by_map = int(f32(rays) * map_share)
-    out = np.zeros((number, 5), np.float32)
-    for m in prange(number):
+    for m in range(begin, end):
         stack = np.empty(STACK, np.int32)
         p, n = load(position, m), load(normal, m)
         tangent, bitangent = tangent_frame(n)
@@ -93,23 +84,28 @@ def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_sha
                 squares += mean * mean
         out[m, 0], out[m, 1], out[m, 2], out[m, 3] = red, green, blue, given
         out[m, 4] = max(squares - f32(1 / 9) * (red + green + blue) ** 2 / f32(rays), ZERO)
+
+
+def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed):
+    """Irradiance from the sky with visibility at points (M, 3), as (M, 5) float32.
+
+    Columns: irradiance by colour; what an open point would get from the same rays (mean over colours); variance of the mean.
+    W/m2.
+
+    `radiance` (H, W, 3) W/(m2 sr); `cdf` (H W,) float64 running sum of brightness times solid angle, ending at 1; `density`
+    (H, W) float32 1/sr of drawing a direction by it. Of `rays` rays the share `map_share` is drawn by the map, the rest by
+    cosine; both are weighed by the balance heuristic (Veach 1997, Eq. 9.8).
+    """
+    out = np.zeros((len(position), 5), np.float32)
+    _gather_sky(len(position), position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed,
+                out)
     return out
 
 
 @pixel_jit
-def light_through(table, planes, normal, mask, albedo, has_bounces):
-    """Sky light behind a visibility: (irradiance (H, W, 3) W/m2, visibility (H, W)), float32; zero and 1 outside `mask`.
-
-    `table` (n, n, 3) holds what an open surface gets, by its normal. `planes` (C, H, W) are the visibility V and, if C is 4,
-    the mean open direction, along which the table is read instead of the normal.
-
-    With `has_bounces` a surface of reflectance r is taken to see itself over the 1 - V that is closed: E = V + r (1 - V) E,
-    so V becomes V / (1 - r (1 - V)). This is exact inside a sphere with an opening, where every point sees the rest alike;
-    the cubic that Jimenez et al. (2016) fit to renders gives 0.259 instead of 0.357 for V = 0.1, r = 0.8.
-    """
+def _light_through(begin, end, table, planes, normal, mask, albedo, has_bounces, light, visibility):
     height, width = mask.shape
-    light, visibility = np.zeros((height, width, 3), np.float32), np.ones((height, width), np.float32)
-    for i in prange(height):
+    for i in range(begin, end):
         for j in range(width):
             if not mask[i, j]:
                 continue
@@ -126,4 +122,19 @@ def light_through(table, planes, normal, mask, albedo, has_bounces):
                     r = min(max(albedo[i, j, c], ZERO), ONE)
                     share = v / max(ONE - r * (ONE - v), f32(1e-6))
                 light[i, j, c] *= share
+
+
+def light_through(table, planes, normal, mask, albedo, has_bounces):
+    """Sky light behind a visibility: (irradiance (H, W, 3) W/m2, visibility (H, W)), float32; zero and 1 outside `mask`.
+
+    `table` (n, n, 3) holds what an open surface gets, by its normal. `planes` (C, H, W) are the visibility V and, if C is 4,
+    the mean open direction, along which the table is read instead of the normal.
+
+    With `has_bounces` a surface of reflectance r is taken to see itself over the 1 - V that is closed: E = V + r (1 - V) E,
+    so V becomes V / (1 - r (1 - V)). This is exact inside a sphere with an opening, where every point sees the rest alike;
+    the cubic that Jimenez et al. (2016) fit to renders gives 0.259 instead of 0.357 for V = 0.1, r = 0.8.
+    """
+    height, width = mask.shape
+    light, visibility = np.zeros((height, width, 3), np.float32), np.ones((height, width), np.float32)
+    _light_through(height, table, planes, normal, mask, albedo, has_bounces, light, visibility)
     return light, visibility

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from .fastmath import HALF_PI, PI, fast_atan2, fast_sin, fraction
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .octahedron import table_at
 from .sampling import near_weight, r2_sequence, uniform
 from .screen import TINY, dither, is_inside, point_vs, to_screen, to_viewer_vs, turn_to_view, turn_to_world
@@ -363,7 +363,7 @@ def _add_sky(s, w, sky, covered, k):
 
 
 @pixel_jit
-def gather_sectors(s, table, ids, slots, radiance, sky, radius, thickness, fade, slices, steps, seed, out):
+def gather_sectors(begin, end, s, table, ids, slots, radiance, sky, radius, thickness, fade, slices, steps, seed, out):
     """Light at pixels by slices with a visibility bitmask, written to the planes `out` (9, N) float32 W/m2.
 
     Planes: the bounce by colour, the world's light by colour, and the world's light if nothing stood in the way. With an
@@ -380,7 +380,7 @@ def gather_sectors(s, table, ids, slots, radiance, sky, radius, thickness, fade,
     of the emitter enters. Taps farther than `radius` do not count. The bounce is weighted by `near_weight`.
     """
     number = ids.shape[0]
-    for block in prange((number + LANES - 1) // LANES):
+    for block in range(begin, end):
         first = np.int64(block) * LANES
         w, c, covered = np.empty(_ROW_COUNT * LANES, np.float32), np.empty(5 * LANES, np.int32), np.empty(LANES, np.uint64)
         _begin(s, table, w, c, ids, first, seed)
@@ -405,7 +405,7 @@ def gather_sectors(s, table, ids, slots, radiance, sky, radius, thickness, fade,
 
 
 @pixel_jit
-def gather_samples(s, ids, slots, radiance, sky, radius, fade, samples, seed, out):
+def gather_samples(begin, end, s, ids, slots, radiance, sky, radius, fade, samples, seed, out):
     """Light at pixels by points in the hemisphere, as published; arguments and planes as those of `gather_sectors`.
 
     Ritschel, Grosch and Seidel 2009, Eq. 1 and 2: of `samples` directions, even over the hemisphere, each goes a random
@@ -414,7 +414,7 @@ def gather_samples(s, ids, slots, radiance, sky, radius, fade, samples, seed, ou
     """
     width = s.depth.shape[1]
     patch_m2 = PI * radius * radius / f32(samples)
-    for m in prange(ids.shape[0]):
+    for m in range(begin, end):
         i, j, slot = ids[m] // width, ids[m] % width, slots[m]
         p, n = load_pixel(s.position_ws, i, j), load_pixel(s.normal_ws, i, j)
         tangent, bitangent = tangent_frame(n)

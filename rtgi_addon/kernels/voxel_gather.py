@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from .brdf import INV_PI, ggx_lobe
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .sky import find_first, sky_texel
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load, normalized_or, scaled, sub, tangent_frame, to_world
@@ -117,24 +117,14 @@ def _aimed_ray(rows, cells, targets, cdf, share, u, v, o, n):
 
 
 @pixel_jit
-def gather_voxels(position, normal, turn, walk, cells, levels, radiance, lobes, sky, targets, cdf, cones, aimed, exact,
-                  seed):
-    """Irradiance from lit voxels at points (M, 3), in cells, as (M, 5) float32.
-
-    Columns: irradiance by colour, W/m2; 1, since there is no unshadowed light to compare it with; variance of the mean over
-    the colours. The cones share the hemisphere by cosine, each as wide as its share. `turn` (M,) tells which run of
-    one low-discrepancy sequence a point takes: neighbours take runs that complement each other. `aimed` of the rays go to
-    the sides `targets` (S,), drawn by the running sum `cdf`; both sorts are weighed by the balance heuristic (Veach
-    1997, Eq. 9.8), by the density of the points that they find.
-    """
-    number = position.shape[0]
-    out = np.zeros((number, 5), np.float32)
+def _gather_voxels(begin, end, position, normal, turn, walk, cells, levels, radiance, lobes, sky, targets, cdf, cones, aimed,
+                   exact, seed, out):
     by_cosine = f32(cones - aimed)
     narrow = max(ONE - ONE / f32(cones), f32(0.5))          # cosine of the half angle of an even share of the hemisphere
     tangent = math.sqrt(ONE - narrow * narrow) / narrow
     shift_u, shift_v, shift_w = uniform(0, seed, 0), uniform(0, seed, 1), uniform(0, seed, 2)
     rows = walk.rows
-    for m in prange(number):
+    for m in range(begin, end):
         p, n = load(position, m), load(normal, m)
         if not math.isfinite(p.x + p.y + p.z):
             continue
@@ -166,20 +156,28 @@ def gather_voxels(position, normal, turn, walk, cells, levels, radiance, lobes, 
             squares += (weight * (r + g + b)) ** 2
         out[m, 0], out[m, 1], out[m, 2], out[m, 3] = red, green, blue, ONE
         out[m, 4] = max(f32(1 / 9) * (squares - (red + green + blue) ** 2 / f32(cones)), ZERO)
+
+
+def gather_voxels(position, normal, turn, walk, cells, levels, radiance, lobes, sky, targets, cdf, cones, aimed, exact,
+                  seed):
+    """Irradiance from lit voxels at points (M, 3), in cells, as (M, 5) float32.
+
+    Columns: irradiance by colour, W/m2; 1, since there is no unshadowed light to compare it with; variance of the mean over
+    the colours. The cones share the hemisphere by cosine, each as wide as its share. `turn` (M,) tells which run of
+    one low-discrepancy sequence a point takes: neighbours take runs that complement each other. `aimed` of the rays go to
+    the sides `targets` (S,), drawn by the running sum `cdf`; both sorts are weighed by the balance heuristic (Veach
+    1997, Eq. 9.8), by the density of the points that they find.
+    """
+    number = position.shape[0]
+    out = np.zeros((number, 5), np.float32)
+    _gather_voxels(number, position, normal, turn, walk, cells, levels, radiance, lobes, sky, targets, cdf, cones, aimed,
+                   exact, seed, out)
     return out
 
 
 @pixel_jit
-def gather_reflections(position, normal, to_viewer, roughness, walk, levels, radiance, lobes, spread):
-    """(M, 3) float32 radiance W/(m2 sr) that one cone brings to each point (M, 3), in cells, for its glossy lobe.
-
-    to_viewer (M, 3) unit vectors, roughness (M,). The cone follows the lobe's middle, which leans towards the normal as
-    roughness grows (Lagarde and de Rousiers 2014, Listing 21), and its half angle has the tangent `spread` times GGX's
-    alpha. A ray finds where it ends, and the levels tell what lies there across the cone's width: a cone that is traced
-    through the levels as a whole brings light from behind walls (living room: 40 % more error).
-    """
-    out = np.zeros((position.shape[0], 3), np.float32)
-    for m in prange(position.shape[0]):
+def _gather_reflections(begin, end, position, normal, to_viewer, roughness, walk, levels, radiance, lobes, spread, out):
+    for m in range(begin, end):
         p, n, v = load(position, m), load(normal, m), load(to_viewer, m)
         if not math.isfinite(p.x + p.y + p.z):
             continue
@@ -202,4 +200,17 @@ def gather_reflections(position, normal, to_viewer, roughness, walk, levels, rad
             red, green, blue = (red + share * (r * rcp - red), green + share * (g * rcp - green),
                                 blue + share * (b * rcp - blue))
         out[m, 0], out[m, 1], out[m, 2] = red, green, blue
+
+
+def gather_reflections(position, normal, to_viewer, roughness, walk, levels, radiance, lobes, spread):
+    """(M, 3) float32 radiance W/(m2 sr) that one cone brings to each point (M, 3), in cells, for its glossy lobe.
+
+    to_viewer (M, 3) unit vectors, roughness (M,). The cone follows the lobe's middle, which leans towards the normal as
+    roughness grows (Lagarde and de Rousiers 2014, Listing 21), and its half angle has the tangent `spread` times GGX's
+    alpha. A ray finds where it ends, and the levels tell what lies there across the cone's width: a cone that is traced
+    through the levels as a whole brings light from behind walls (living room: 40 % more error).
+    """
+    out = np.zeros((position.shape[0], 3), np.float32)
+    _gather_reflections(position.shape[0], position, normal, to_viewer, roughness, walk, levels, radiance, lobes, spread,
+                        out)
     return out

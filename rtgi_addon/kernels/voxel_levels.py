@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .vec3 import ONE, ZERO, along, f32, load
 from .voxels import axis_coverage
 
@@ -44,12 +44,12 @@ class Levels(NamedTuple):
 
 
 @pixel_jit
-def fill_level0(planes, areas, seen, radiance, coverage, light):
+def fill_level0(begin, end, planes, areas, seen, radiance, coverage, light):
     """Coverage (V, 3) and light (V, 6, 3) of the voxels from their slots, in place.
 
     Light is the flux of the sides, radiance (V, 6, ..) times the area `seen`; coverage is by the true area.
     """
-    for row in prange(planes.shape[0]):
+    for row in range(begin, end):
         for axis in range(3):
             coverage[row, axis] = axis_coverage(planes, areas, row, axis)
             total = ZERO
@@ -79,10 +79,10 @@ def mark_parents(children, parents):
 
 
 @pixel_jit
-def fill_parents(cells, children, base, coverage, light):
+def fill_parents(begin, end, cells, children, base, coverage, light):
     """Coverage and light of the cells (P, 3) of a level, rows `base` on, from the level below; in place."""
     nx, ny, nz = children.shape
-    for number in prange(cells.shape[0]):
+    for number in range(begin, end):
         row = base + number
         rows = np.empty(8, np.int64)
         for c in range(8):
@@ -202,12 +202,16 @@ def trace_cone(levels, o, d, start, tangent, reach):
 
 
 @pixel_jit
+def _cast_cones(begin, end, levels, origin, direction, tangent, out):
+    for i in range(begin, end):
+        o, d = load(origin, i), load(direction, i)
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = trace_cone(levels, o, d, ZERO, tangent, FAR)
+
+
 def cast_cones(levels, origin, direction, tangent):
     """(N, 4) float32: `trace_cone` from (N, 3) points, in cells, along (N, 3) unit vectors; tangent of the half angle."""
     out = np.empty((origin.shape[0], 4), np.float32)
-    for i in prange(origin.shape[0]):
-        o, d = load(origin, i), load(direction, i)
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = trace_cone(levels, o, d, ZERO, tangent, FAR)
+    _cast_cones(origin.shape[0], levels, origin, direction, tangent, out)
     return out
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .sampling import uniform
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, sub
 from .voxels import BOX_STEPS, MASK_SIDE
@@ -304,12 +304,16 @@ def first_surface(walk, o, d, n, reach):
 
 
 @pixel_jit
+def _cast_voxel_rays(begin, end, walk, origin, direction, normal, reach, ts, rows, sides):
+    for i in range(begin, end):
+        n = load(normal, i)
+        t, row, side = first_surface(walk, along(load(origin, i), n, LIFT), load(direction, i), n, reach)
+        ts[i], rows[i], sides[i] = t, row, side
+
+
 def cast_voxel_rays(walk, origin, direction, normal, reach):
     """First surface along (N, 3) rays in cells: (t (N,) float32, row (N,) int32 or -1, side (N,) int32)."""
     number = origin.shape[0]
     ts, rows, sides = np.empty(number, np.float32), np.empty(number, np.int32), np.empty(number, np.int32)
-    for i in prange(number):
-        n = load(normal, i)
-        t, row, side = first_surface(walk, along(load(origin, i), n, LIFT), load(direction, i), n, reach)
-        ts[i], rows[i], sides[i] = t, row, side
+    _cast_voxel_rays(number, walk, origin, direction, normal, reach, ts, rows, sides)
     return ts, rows, sides

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .vec3 import ONE, ZERO, Vec3, dot, f32, length, load_column, load_pixel, scaled, sub
 from .voxel_rays import FAR, row_of, slot_mask, slot_plane
 
@@ -55,32 +55,29 @@ def _edge(position, normal, i, j, down, right):
 
 
 @pixel_jit
+def _measure_texels(begin, end, position, normal, ids, rcp_cell, edges, parts):
+    width = position.shape[1]
+    for k in range(begin, end):
+        for axis in range(2):
+            d = _edge(position, normal, ids[k] // width, ids[k] % width, axis, 1 - axis)
+            edges[k, 3 * axis], edges[k, 3 * axis + 1], edges[k, 3 * axis + 2] = d.x, d.y, d.z
+            parts[k, axis] = min(max(int(math.ceil(PARTS_A_VOXEL * length(d) * rcp_cell)), 1), MOST_PARTS)
+
+
 def measure_texels(position, normal, ids, rcp_cell):
     """Edges of texels on their surfaces, (K, 6) float32 m, and into how many parts each edge is cut, (K, 2) int32.
 
     `ids` (K,) are flat indices of texels of the (H, W, 3) images.
     """
-    number, width = ids.shape[0], position.shape[1]
+    number = len(ids)
     edges, parts = np.zeros((number, 6), np.float32), np.ones((number, 2), np.int32)
-    for k in prange(number):
-        for axis in range(2):
-            d = _edge(position, normal, ids[k] // width, ids[k] % width, axis, 1 - axis)
-            edges[k, 3 * axis], edges[k, 3 * axis + 1], edges[k, 3 * axis + 2] = d.x, d.y, d.z
-            parts[k, axis] = min(max(int(math.ceil(PARTS_A_VOXEL * length(d) * rcp_cell)), 1), MOST_PARTS)
+    _measure_texels(number, position, normal, ids, rcp_cell, edges, parts)
     return edges, parts
 
 
 @pixel_jit
-def find_sides(walk, shape, table, edges, parts, first, origin, rcp_cell, good_score):
-    """(S,) int32: 6 row + side of the surface that each part of each texel lies on; -1 for none.
-
-    table: texels as in `kernels.clusters`, positions in metres; edges, parts: as `measure_texels` gives; first (K,): where a
-    texel's parts begin; shape (3,) and origin (3,) float64 m of the grid. A part that finds no surface, beyond an edge, goes
-    where its texel's middle goes.
-    """
-    number = table.shape[1]
-    out = np.empty(first[-1] if number > 0 else 0, np.int32)
-    for k in prange(number):
+def _find_sides(begin, end, walk, shape, table, edges, parts, first, origin, rcp_cell, good_score, out):
+    for k in range(begin, end):
         n, count_u, count_v = load_column(table, NORMAL, k), parts[k, 0], parts[k, 1]
         middle = np.int64(-2)
         for part in range(count_u * count_v):
@@ -92,6 +89,18 @@ def find_sides(walk, shape, table, edges, parts, first, origin, rcp_cell, good_s
                     middle = _side_at(walk, shape, _in_cells(table, edges, k, ZERO, ZERO, origin, rcp_cell), n, good_score)
                 side = middle
             out[first[k] + part] = side
+
+
+def find_sides(walk, shape, table, edges, parts, first, origin, rcp_cell, good_score):
+    """(S,) int32: 6 row + side of the surface that each part of each texel lies on; -1 for none.
+
+    table: texels as in `kernels.clusters`, positions in metres; edges, parts: as `measure_texels` gives; first (K,): where a
+    texel's parts begin; shape (3,) and origin (3,) float64 m of the grid. A part that finds no surface, beyond an edge, goes
+    where its texel's middle goes.
+    """
+    number = table.shape[1]
+    out = np.empty(first[-1] if number > 0 else 0, np.int32)
+    _find_sides(number, walk, shape, table, edges, parts, first, origin, rcp_cell, good_score, out)
     return out
 
 

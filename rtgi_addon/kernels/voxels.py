@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .vec3 import f32
 
 MASK_SIDE = 4               # squares of a voxel's face along each edge
@@ -120,6 +120,23 @@ def _load(corners, t, origin, rcp_cell, poly):
 
 
 @pixel_jit
+def _slice_spans(begin, end, corners, origin, rcp_cell, shape, axis, spans):
+    poly = np.empty((1, 3, 3), np.float64)
+    for t in range(begin, end):
+        spans[t, 0], spans[t, 1] = 1, 0
+        if not _load(corners, t, origin, rcp_cell, poly):
+            continue
+        is_inside = True
+        for a in range(3):
+            low, high = _extent(poly, 0, 3, a)
+            is_inside = is_inside and high >= 0 and low < shape[a]
+        nx, ny, nz = _area_vector(poly, 0, 1, 2)
+        if is_inside and math.sqrt(nx * nx + ny * ny + nz * nz) > NO_AREA * _longest2(poly):
+            low, high = _extent(poly, 0, 3, axis)
+            low, high = max(low, 0.0), min(high, np.float64(shape[axis]))
+            spans[t, 0], spans[t, 1] = _first_cell(low), min(_last_cell(low, high), shape[axis] - 1)
+
+
 def slice_spans(corners, origin, rcp_cell, shape, axis):
     """(T, 2) int32: first and last slice along `axis` that each triangle meets; first > last for those left out.
 
@@ -127,22 +144,7 @@ def slice_spans(corners, origin, rcp_cell, shape, axis):
     """
     number = corners.shape[0]
     spans = np.empty((number, 2), np.int32)
-    blocks = (number + 1023) // 1024
-    for block in prange(blocks):
-        poly = np.empty((1, 3, 3), np.float64)
-        for t in range(block * 1024, min(block * 1024 + 1024, number)):
-            spans[t, 0], spans[t, 1] = 1, 0
-            if not _load(corners, t, origin, rcp_cell, poly):
-                continue
-            is_inside = True
-            for a in range(3):
-                low, high = _extent(poly, 0, 3, a)
-                is_inside = is_inside and high >= 0 and low < shape[a]
-            nx, ny, nz = _area_vector(poly, 0, 1, 2)
-            if is_inside and math.sqrt(nx * nx + ny * ny + nz * nz) > NO_AREA * _longest2(poly):
-                low, high = _extent(poly, 0, 3, axis)
-                low, high = max(low, 0.0), min(high, np.float64(shape[axis]))
-                spans[t, 0], spans[t, 1] = _first_cell(low), min(_last_cell(low, high), shape[axis] - 1)
+    _slice_spans(number, corners, origin, rcp_cell, shape, axis, spans)
     return spans
 
 
@@ -247,8 +249,8 @@ def _add_polygon(poly, level, count, albedo, emission, opacity, t, n, axis, cell
 
 
 @pixel_jit
-def visit_slices(corners, albedo, emission, opacity, origin, rcp_cell, order, starts, entries, turn, is_occupied, index,
-                 sums, boxes, masks, is_marking):
+def visit_slices(begin, end, corners, albedo, emission, opacity, origin, rcp_cell, order, starts, entries, turn, is_occupied,
+                 index, sums, boxes, masks, is_marking):
     """Cut the listed triangles along the grid: mark the cells that they meet, or add them to the voxels there.
 
     opacity (T,) float32; order (3,): the axis of the slices, then the two within a slice. `turn` (n,) is the order in which
@@ -257,7 +259,7 @@ def visit_slices(corners, albedo, emission, opacity, origin, rcp_cell, order, st
     """
     along, across, inner = order[0], order[1], order[2]
     rows, columns = is_occupied.shape[across], is_occupied.shape[inner]
-    for k in prange(turn.shape[0]):
+    for k in range(begin, end):
         slice_ = turn[k]
         poly = np.empty((5, MOST_CORNERS, 3), np.float64)
         n, cell = np.empty(3, np.float64), np.empty(3, np.int64)
@@ -361,13 +363,13 @@ def _seen_area(mask, box, plane, axis):
 
 
 @pixel_jit
-def finish_voxels(sums, extents, masks, planes, boxes, areas, seen, opacity, albedo, emission):
+def finish_voxels(begin, end, sums, extents, masks, planes, boxes, areas, seen, opacity, albedo, emission):
     """Means of the sums into planes, opacity, albedo and emission, extents (V, 3, 6) float32 into boxes and areas; in place.
 
     The area is that of the triangles, or of the squares that they touch inside their box if that is less: two sheets behind
     each other count once.
     """
-    for row in prange(sums.shape[0]):
+    for row in range(begin, end):
         for axis in range(3):
             s, e = sums[row, axis], extents[row, axis]
             area = s[S_AREA]
@@ -404,8 +406,8 @@ def axis_coverage(planes, areas, row, axis):
 
 
 @pixel_jit
-def fill_coverage(cells, planes, areas, out):
+def fill_coverage(begin, end, cells, planes, areas, out):
     """Coverage along x, y, z of every voxel into the dense (nx, ny, nz, 3) float32 `out`, in place."""
-    for row in prange(cells.shape[0]):
+    for row in range(begin, end):
         for axis in range(3):
             out[cells[row, 0], cells[row, 1], cells[row, 2], axis] = axis_coverage(planes, areas, row, axis)

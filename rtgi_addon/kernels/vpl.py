@@ -21,7 +21,7 @@ import numpy as np
 
 from .brdf import ggx_lobe
 from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
-from .jit import device_jit, pixel_jit, prange
+from .jit import device_jit, pixel_jit
 from .sampling import r2_sequence, uniform
 from .vec3 import ONE, ZERO, Vec3, along, cross, dot, f32, length, load, load_column, load_pixel, scaled, sub, tangent_frame
 
@@ -69,12 +69,12 @@ def gather_all(position: np.ndarray, normal: np.ndarray, table: np.ndarray, eps2
     area = None if area_m2 is None else np.ascontiguousarray(area_m2, np.float32)
     out = np.zeros((len(position), 3), np.float32)
     if area is None:
-        _diffuse_points(position, normal, table, f32(eps2), out)
+        _diffuse_points((len(position) + 1) // 2, position, normal, table, f32(eps2), out)
     else:
-        _diffuse_squares(position, normal, table, area, f32(eps2), near_field == "EXACT", out)
+        _diffuse_squares(len(position), position, normal, table, area, f32(eps2), near_field == "EXACT", out)
     glossy = table[ALPHA2] < NO_LOBE
     if glossy.any():
-        _glossy_points(position, normal, np.ascontiguousarray(table[:, glossy]), f32(eps2), out)
+        _glossy_points(len(position), position, normal, np.ascontiguousarray(table[:, glossy]), f32(eps2), out)
     return out
 
 
@@ -145,7 +145,8 @@ def gather_polar(position: np.ndarray, normal: np.ndarray, column_px: np.ndarray
     pattern = _polar_pattern(samples, float(radius_px), published, seed)
     out = np.zeros((len(position), 3), np.float32)
     arrays = position, normal, column_px, row_px, map_position, map_normal, map_flux
-    _polar_points(*(np.ascontiguousarray(a, np.float32) for a in arrays), pattern, wrap, rotate, seed, f32(eps2), out)
+    _polar_points(len(position), *(np.ascontiguousarray(a, np.float32) for a in arrays), pattern, wrap, rotate, seed,
+                  f32(eps2), out)
     return out
 
 
@@ -173,8 +174,8 @@ def _polar_pattern(samples, radius_px, published, seed):
 # The inner loops take rows as slices: `table[row, j]` in a loop from a variable start costs numba a test of the sign of
 # both indices, which stops LLVM from making vector code (0.25 against 1.5 G pairs/s a thread, 2.7 with two points a texel).
 @pixel_jit
-def _diffuse_points(position, normal, table, eps2, out):
-    for pair in prange((position.shape[0] + 1) // 2):
+def _diffuse_points(begin, end, position, normal, table, eps2, out):
+    for pair in range(begin, end):
         i, k = 2 * pair, min(2 * pair + 1, position.shape[0] - 1)       # the last of an odd number is done twice
         red, green, blue, red_k, green_k, blue_k = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for start in range(0, table.shape[1], RUN):
@@ -206,8 +207,8 @@ def _diffuse_run(x, n, x_k, n_k, px, py, pz, nx, ny, nz, red, green, blue, eps2)
 
 
 @pixel_jit
-def _diffuse_squares(position, normal, table, area, eps2, exact, out):
-    for i in prange(position.shape[0]):
+def _diffuse_squares(begin, end, position, normal, table, area, eps2, exact, out):
+    for i in range(begin, end):
         x, n = load(position, i), load(normal, i)
         red, green, blue = 0.0, 0.0, 0.0
         for start in range(0, table.shape[1], RUN):
@@ -302,8 +303,8 @@ def _edge_term(a, b, n):
 
 # ---- glossy lobes ----
 @pixel_jit
-def _glossy_points(position, normal, table, eps2, out):
-    for i in prange(position.shape[0]):
+def _glossy_points(begin, end, position, normal, table, eps2, out):
+    for i in range(begin, end):
         x, n = load(position, i), load(normal, i)
         red, green, blue = 0.0, 0.0, 0.0
         for j in range(table.shape[1]):
@@ -330,8 +331,9 @@ def _glossy_weight(x, n, table, j, eps2):
 
 # ---- the published sampling ----
 @pixel_jit
-def _polar_points(position, normal, column, row, map_position, map_normal, map_flux, pattern, wrap, rotate, seed, eps2, out):
-    for i in prange(position.shape[0]):
+def _polar_points(begin, end, position, normal, column, row, map_position, map_normal, map_flux, pattern, wrap, rotate, seed,
+                  eps2, out):
+    for i in range(begin, end):
         turn = uniform(i, seed, ROTATION_STREAM) if rotate else ZERO
         e = _polar_at_point(load(position, i), load(normal, i), column[i], row[i], map_position, map_normal, map_flux,
                             pattern, wrap, turn, eps2)

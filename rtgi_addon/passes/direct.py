@@ -24,7 +24,7 @@ from ..core.transforms import Projection
 from ..kernels import lamps, shadow
 from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
 from ..kernels.bvh import STACK, Bvh, visibility
-from ..kernels.jit import device_jit, pixel_jit, prange
+from ..kernels.jit import device_jit, pixel_jit
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
 from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
@@ -35,7 +35,6 @@ NONE, MAP, RAYS = 0, 1, 2   # how a light's shadows are found
 PILOTS = 8                  # rays that decide whether a pixel lies in half shadow; four, to the rim, miss thin things
 BIG_PILOTS = 8              # more of them, inside the shape, for lamps that look large
 BIG = f32(0.1)              # half size over distance from which a lamp looks large
-BLOCK = 32                  # pixels that one thread traces in a row
 TILE_PIXELS = 1 << 17       # pixels between two looks at Esc
 TILE_RAYS = 1 << 21         # and rays at most: some half a second's
 POSITION_ERROR = f32(2e-6)  # of the distance to the viewer and of the coordinates
@@ -99,7 +98,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
         for number, source in enumerate(sorted(sources, key=lambda source: -source.bound_at(middle))):
             context.checkpoint("Direct Light", (tile + 0.3 * number / len(sources)) / tiles)
             bare, state = _Bare(*np.zeros((2, len(part)), np.float32)), np.zeros(len(part), np.uint8)
-            _light_pixels(part, source.lamp, source.colours, pixels, source.salt, source.shadow_map, source.test,
+            _light_pixels(len(part), part, source.lamp, source.colours, pixels, source.salt, source.shadow_map, source.test,
                           f32(source.strength), bare, out, state)
             found.append((source, bare, np.flatnonzero(state == shadow.ASK)))
         for number, (source, bare, left) in enumerate(found):
@@ -116,8 +115,9 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
             step = max(TILE_RAYS // params.soft_shadow_rays, 1)
             for first in range(0, len(left), step):
                 context.checkpoint("Direct Light", share)
-                _trace_pixels(part, left[first:first + step], source.lamp, source.colours, pixels, source.salt,
-                              source.shadow_map, bare, starts, bvh, pilots, params.soft_shadow_rays, out)
+                few = left[first:first + step]
+                _trace_pixels(len(few), part, few, source.lamp, source.colours, pixels, source.salt, source.shadow_map, bare,
+                              starts, bvh, pilots, params.soft_shadow_rays, out)
     with np.errstate(divide="ignore", invalid="ignore"):
         visibility = np.where(out.could > 0, np.clip(out.does / out.could, 0, 1), 1).astype(np.float32)
     return PassResult({Transport.DIRECT_DIFFUSE: out.diffuse.reshape(height, width, 3),
@@ -327,9 +327,9 @@ def _light_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, test, strengt
 
 
 @pixel_jit
-def _light_pixels(index, lamp, colours, pixels, salt, shadow_map, test, strength, bare, out, state):
+def _light_pixels(begin, end, index, lamp, colours, pixels, salt, shadow_map, test, strength, bare, out, state):
     """`_light_at_pixel` for the pixels of `index` (K,); its answers into `state` (K,)."""
-    for k in prange(len(index)):
+    for k in range(begin, end):
         state[k] = _light_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, test, strength, bare, out)
 
 
@@ -427,15 +427,13 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
 
 
 @pixel_jit
-def _trace_pixels(index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, out):
+def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, out):
     """Add the light that a second look at the map, and rays, find at the pixels `left` (M,) of `index` (K,)."""
-    blocks = (len(left) + BLOCK - 1) // BLOCK
-    for block in prange(blocks):
-        stack = np.empty(STACK, np.int32)
-        for m in range(block * BLOCK, min((block + 1) * BLOCK, len(left))):
-            k = left[m]
-            _trace_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays,
-                            out)
+    stack = np.empty(STACK, np.int32)
+    for m in range(begin, end):
+        k = left[m]
+        _trace_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays,
+                        out)
 
 
 @device_jit

@@ -71,9 +71,9 @@ def compute_final_gather(frame: Frame, params: FinalGatherParams, context: Conte
 
     def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
         rays = make_rays(len(ids) * params.rays)
-        aim_rays(position, normal, ids, params.rays, rules.offset_m, salt, rays)
-        ask_scene(np.arange(len(rays.answer)), ids, params.rays, screen, planes, gloss, lights, bvh, around, rules, salt,
-                  rays)
+        aim_rays(len(ids), position, normal, ids, params.rays, rules.offset_m, salt, rays)
+        asked = np.arange(len(rays.answer))
+        ask_scene(len(asked), asked, ids, params.rays, screen, planes, gloss, lights, bvh, around, rules, salt, rays)
         light = rays.light[:, :3].reshape(len(ids), params.rays, 3) * np.float32(math.pi)
         out = np.ones((len(ids), 5), np.float32)     # nothing is known of the unshadowed light
         out[:, :3] = light.mean(1)

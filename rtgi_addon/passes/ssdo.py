@@ -38,7 +38,7 @@ from ..core.techniques import SsdoParams
 from ..kernels.octahedron import look_up, node_directions
 from ..kernels.planes import smooth_planes, spread_planes
 from ..kernels.screen import Screen
-from ..kernels.ssdo import gather_samples, gather_sectors
+from ..kernels.ssdo import LANES, gather_samples, gather_sectors
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .screen import coarse_screen, screen_of
@@ -119,11 +119,12 @@ def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarra
         context.checkpoint(text, begin / len(ids))
         tile = slice(begin, begin + TILE_PIXELS)
         if params.form == "SECTORS":
-            gather_sectors(taps.screen, taps.table, ids[tile], slots[tile], source, sky, f32(radius),
+            runs = -(-len(ids[tile]) // LANES)
+            gather_sectors(runs, taps.screen, taps.table, ids[tile], slots[tile], source, sky, f32(radius),
                            f32(params.thickness * radius), f32(fade), params.slices, params.steps, seed, values)
         else:
-            gather_samples(taps.screen, ids[tile], slots[tile], source, sky, f32(radius), f32(fade), params.samples, seed,
-                           values)
+            gather_samples(len(ids[tile]), taps.screen, ids[tile], slots[tile], source, sky, f32(radius), f32(fade),
+                           params.samples, seed, values)
     context.checkpoint("Filter", 0.9)
     planes = values.reshape(9, *asked.shape)[0 if radiance is not None else 3:9 if len(sky) else 4]
     coarse = coarse_screen(taps.screen, step) if step > 1 else taps.screen

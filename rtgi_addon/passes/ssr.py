@@ -96,7 +96,7 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
     blur = blur_of_pixels(tracer.results, *surface, step, traced, f32(FILTER_REACH))
     smooth = smooth_reflections(tracer.results, blur, traced, *surface, step, traced, FILTER_RADIUS)
     weak = np.zeros(step.shape, np.bool_)
-    spread_reflections(smooth, blur, *surface, step, traced, weak)
+    spread_reflections(len(traced), smooth, blur, *surface, step, traced, weak)
     if weak.any():
         tracer.trace(np.where(weak, WEAK_STEP, 0), weak)
         step = np.where(weak, 1, step)
@@ -212,14 +212,15 @@ class _Tracer:
 
     def _trace_tile(self, index: np.ndarray, samples: int) -> None:
         rays = make_rays(len(index) * samples)
-        draw_rays(index, samples, self.screen, self._pyramid.planes, self._gloss, self._rules, self._seed, rays)
+        draw_rays(len(index), index, samples, self.screen, self._pyramid.planes, self._gloss, self._rules, self._seed, rays)
         if self._looks_at_picture:
-            follow_rays(index, samples, self.screen, self._pyramid, self._gloss, self._lights, self._rules, self._seed, rays)
+            follow_rays(len(index), index, samples, self.screen, self._pyramid, self._gloss, self._lights, self._rules,
+                        self._seed, rays)
         if not self._is_left_open:
             asked = np.flatnonzero(rays.answer != KNOWN)
-            ask_scene(asked, index, samples, self.screen, self._pyramid.planes, self._gloss, self._lights, self._bvh,
-                      self._around, self._rules, self._seed, rays)
-        collect_rays(index, samples, rays, self._is_left_open, self._rules.offset_m, self.results)
+            ask_scene(len(asked), asked, index, samples, self.screen, self._pyramid.planes, self._gloss, self._lights,
+                      self._bvh, self._around, self._rules, self._seed, rays)
+        collect_rays(len(index), index, samples, rays, self._is_left_open, self._rules.offset_m, self.results)
         for name, number in (("rays", len(rays.answer)), ("steps", int(rays.steps.sum())),
                              ("hits", np.count_nonzero(rays.share)), ("asked", np.count_nonzero(rays.answer == ASK)),
                              ("traced_pixels", len(index))):

@@ -160,10 +160,11 @@ def levels_of(scene: VoxelScene, lit: LitVoxels, solid: np.ndarray | None = None
         parts.append(cells)
     coverage, light = np.zeros((total, 3), np.float32), np.zeros((total, 6, 3), np.float32)
     coverage[number:number + filled] = 1
-    fill_level0(scene.voxels.planes, scene.voxels.areas, scene.voxels.seen, _without_direction(scene, lit), coverage, light)
+    sides = scene.voxels
+    fill_level0(number, sides.planes, sides.areas, sides.seen, _without_direction(scene, lit), coverage, light)
     base = number + filled
     for cells, children in zip(parts, indices[:-1], strict=True):
-        fill_parents(cells, children, base, coverage, light)
+        fill_parents(len(cells), cells, children, base, coverage, light)
         base += len(cells)
     first = np.concatenate([[0], np.cumsum([i.size for i in indices[:-1]])]).astype(np.int64)
     return Levels(np.concatenate([i.ravel() for i in indices]), first, np.array([i.shape for i in indices], np.int64),

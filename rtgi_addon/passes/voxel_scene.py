@@ -156,8 +156,8 @@ def voxelise(geometry: Geometry, grid: Grid) -> Voxels:
 
     def visit(sums: np.ndarray, extents: np.ndarray, masks: np.ndarray, is_marking: bool) -> None:
         for starts, entries in _batches(spans, slices):
-            visit_slices(corners, geometry.albedo, geometry.emission, present, origin, rcp_cell, order, starts, entries,
-                         turn, is_occupied, index, sums, extents, masks, is_marking)
+            visit_slices(len(turn), corners, geometry.albedo, geometry.emission, present, origin, rcp_cell, order, starts,
+                         entries, turn, is_occupied, index, sums, extents, masks, is_marking)
 
     visit(np.zeros((0, 3, SUMS), np.float32), np.zeros((0, 3, 6), np.float32), np.zeros((0, 3), np.uint16), True)
     cells = list_cells(is_occupied, index)
@@ -167,7 +167,7 @@ def voxelise(geometry: Geometry, grid: Grid) -> Voxels:
     planes, albedo, emission = (np.zeros((len(cells), 3, n), np.float32) for n in (4, 3, 3))
     areas, seen, opacity = (np.zeros((len(cells), 3), np.float32) for _ in range(3))
     boxes = np.zeros((len(cells), 3, 6), np.uint8)
-    finish_voxels(sums, extents, masks, planes, boxes, areas, seen, opacity, albedo, emission)
+    finish_voxels(len(sums), sums, extents, masks, planes, boxes, areas, seen, opacity, albedo, emission)
     return Voxels(index, cells, planes, masks, boxes, areas, seen, opacity, albedo, emission)
 
 
@@ -202,7 +202,7 @@ def coverage_of(voxels: Voxels) -> np.ndarray:
     that of the surface (they are parts of it side by side), so light along the axis is held back by their sum, at most 1.
     """
     out = np.zeros((*voxels.index.shape, 3), np.float32)
-    fill_coverage(voxels.cells, voxels.planes, voxels.areas, out)
+    fill_coverage(len(voxels.cells), voxels.cells, voxels.planes, voxels.areas, out)
     return out
 
 

@@ -6,7 +6,6 @@ import dataclasses
 import itertools
 import math
 
-import numba
 import numpy as np
 import pytest
 
@@ -15,6 +14,7 @@ from rtgi_addon.core.synthetic import make_room_frame, room_light
 from rtgi_addon.core.techniques import LpvParams
 from rtgi_addon.kernels import harmonics, ordinates
 from rtgi_addon.kernels.bvh import build_bvh
+from rtgi_addon.kernels.jit import kernel_session
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.lpv import compute_lpv, light_slice
 from tests.lpv_scenes import NOTHING, cube, harmonic_source, lit_grid, rectangle, texels, unit
@@ -245,13 +245,9 @@ def test_light_is_linear_in_power_and_none_without(mode):
 @pytest.mark.parametrize("mode", MODES)
 def test_two_threads_give_the_bits_of_one(mode):
     frame = room()
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        alone = bounce(frame, mode=mode)
-    finally:
-        numba.set_num_threads(before)
-    assert np.array_equal(alone, bounce(frame, mode=mode))
+    alone = bounce(frame, mode=mode)
+    with kernel_session(2):
+        assert np.array_equal(alone, bounce(frame, mode=mode))
 
 
 @pytest.mark.parametrize("mode", MODES)

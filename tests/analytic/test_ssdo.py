@@ -186,7 +186,7 @@ def test_the_published_form_has_its_own_mean_beside_a_wall():
     band = np.flatnonzero((distance > 0.2) & (distance < 0.3))
     out = np.zeros((9, len(band)), np.float32)
     radiance = np.where(is_wall[..., None], np.float32(1 / np.pi), np.float32(0)) * np.ones(3, np.float32)
-    gather_samples(screen_of(frame), band, np.arange(len(band)), radiance.reshape(-1, 3), NO_SKY, np.float32(1.0),
+    gather_samples(len(band), screen_of(frame), band, np.arange(len(band)), radiance.reshape(-1, 3), NO_SKY, np.float32(1.0),
                    np.float32(0), 1024, 3, out)
     u, v, w = (a.ravel() for a in np.meshgrid(*[(np.arange(64) + 0.5) / 64] * 3, indexing="ij"))
     sine = np.sqrt(1 - u * u)

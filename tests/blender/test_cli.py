@@ -59,8 +59,7 @@ def test_passes_hold_every_transport_and_add_up_with_the_report(scene_file, tmp_
         assert np.array_equal(np.stack([channels[f"{transport.value}.{c}"] for c in "RGB"], -1), light)
     assert channels["visibility.V"].shape == (36, 64)
     report = json.loads((tmp_path / "r.json").read_text())
-    assert {"plan", "stages", "total_ms", "jit_ms", "peak_memory_mb", "threads", "threading_layer", "versions",
-            "warnings"} <= set(report)
+    assert {"plan", "stages", "total_ms", "jit_ms", "peak_memory_mb", "threads", "versions", "warnings"} <= set(report)
     assert report["threads"] == 1
 
 

@@ -61,7 +61,7 @@ def test_published_form_equals_the_papers_sums():
     radiance = rng.uniform(0, 1, (*frame.gbuffer.shape, 3)).astype(np.float32)
     ids = np.flatnonzero(frame.gbuffer.mask)
     out = np.zeros((9, len(ids)), np.float32)
-    gather_samples(screen_of(frame), ids, np.arange(len(ids)), radiance.reshape(-1, 3), NO_SKY, np.float32(1.0),
+    gather_samples(len(ids), screen_of(frame), ids, np.arange(len(ids)), radiance.reshape(-1, 3), NO_SKY, np.float32(1.0),
                    np.float32(0), 24, 7, out)
     compared = 0
     for k in range(0, len(ids), 3):
