@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .screen import HALF, Screen, seen_normal_vs
 from .shadow import ORTHOGRAPHIC
 from .vec3 import ONE, ZERO, f32
@@ -150,6 +150,7 @@ def _slopes(s, i, j, h):
 @pixel_jit
 def _lay_planes(begin, end, s, slack_px, thickness_m, planes, bounds):
     """Fill `planes`, and level 0 of `bounds`."""
+    s, = borrowed((s,))
     rows, columns = s.depth.shape
     for i in range(begin, end):
         for j in range(columns):

@@ -34,7 +34,7 @@ from .clusters import (
     NORMAL,
     TO_LIGHT,
 )
-from .jit import inline_jit, pixel_jit
+from .jit import borrowed, inline_jit, pixel_jit
 from .sampling import near_weight, uniform
 from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_column, scaled, sub
 
@@ -223,6 +223,7 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
 
 @pixel_jit
 def _gather_visible(begin, end, position, normal, ids, clusters, eps2, bvh, rays, offset_m, seed, out):
+    clusters, bvh = borrowed((clusters, bvh))
     n_clusters = clusters.table.shape[1]
     w, at, stack = np.empty(n_clusters, np.float32), np.empty(n_clusters, np.int32), np.empty(STACK, np.int32)
     gives_near = np.empty(NEAR_TEXELS, np.float32)

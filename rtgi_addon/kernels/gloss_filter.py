@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from .filters import falloff
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .reflect import NEARNESS, SHARE
 from .screen import seen_vs
 from .shadow import ORTHOGRAPHIC
@@ -56,6 +56,7 @@ def _difference(s, roughness, i, j, u, v, step_m):
 
 @pixel_jit
 def _blur_of_pixels(begin, end, results, screen, roughness, step, traced, reach, out):
+    screen, = borrowed((screen,))
     height, width = traced.shape
     for i in range(begin, end):
         for j in range(width):
@@ -81,6 +82,7 @@ def blur_of_pixels(results, screen, roughness, step, traced, reach):
 
 @pixel_jit
 def _smooth_reflections(begin, end, results, blur, wanted, screen, roughness, step, traced, radius, out):
+    screen, = borrowed((screen,))
     height, width = traced.shape
     for i in range(begin, end):
         for j in range(width):
@@ -126,6 +128,7 @@ def spread_reflections(begin, end, smooth, blur, screen, roughness, step, traced
     `weak` (H, W) bool becomes True where that fails: where no like neighbour was found, and where neighbours differ although
     the lobe blurs less than they lie apart, as at the foot of what is reflected. Pixels of step 0 do not reflect.
     """
+    screen, = borrowed((screen,))
     height, width = traced.shape
     for i in range(begin, end):
         for j in range(width):

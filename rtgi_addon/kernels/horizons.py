@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from .fastmath import PI, fast_sin, fraction
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .sampling import TWO_PI
 from .screen import TINY, dither, point_vs, seen_normal_vs, to_viewer_vs, turn_to_view, turn_to_world
 from .shadow import ORTHOGRAPHIC
@@ -224,6 +224,7 @@ def _bend(w, closed, directions):
 @pixel_jit
 def _sector_visibility(begin, end, s, groups, height, width, step, margin, radius, thickness, slices, steps, directions,
                        seed, out):
+    s, = borrowed((s,))
     planes = out.reshape(4, height * width)
     flat = s.depth.reshape(-1)
     for m in range(begin, end):
@@ -345,6 +346,7 @@ def _raise_horizon(s, w, radius, has_falloff):
 @pixel_jit
 def _published_visibility(begin, end, s, groups, height, width, step, margin, radius, bias, has_falloff, directions, steps,
                           seed, out):
+    s, = borrowed((s,))
     plane = out.reshape(height * width)
     flat = s.depth.reshape(-1)
     for m in range(begin, end):
@@ -377,6 +379,7 @@ def published_visibility(s, groups, height, width, step, margin, radius, bias, h
 
 @pixel_jit
 def _sphere_visibility(begin, end, s, groups, height, width, step, margin, radius, samples, is_oriented, seed, out):
+    s, = borrowed((s,))
     plane = out.reshape(height * width)
     flat = s.depth.reshape(-1)
     is_parallel, deepest = s.projection == ORTHOGRAPHIC, radius if is_oriented else FAR

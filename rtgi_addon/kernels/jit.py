@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import event, types
+from numba import extending
+from numba.core import cgutils, event, types
 
 from ..core.cache_root import cache_root
 
@@ -88,6 +89,40 @@ def inline_jit(function: Callable) -> Callable:
     """
     return _without_literals(
         _with_cache(numba.njit(fastmath=FAST, error_model="numpy", nogil=True, cache=True, forceinline=True))(function))
+
+
+def _forget_owners(context: Any, builder: Any, kind: types.Type, value: Any) -> Any:
+    """`value` with arrays that own nothing, however deep in tuples."""
+    if isinstance(kind, types.Array):
+        array = cgutils.create_struct_proxy(kind)(context, builder, value)
+        array.meminfo, array.parent = (cgutils.get_null_value(getattr(array, name).type) for name in ("meminfo", "parent"))
+        return array._getvalue()
+    if isinstance(kind, types.BaseTuple):
+        parts = [_forget_owners(context, builder, part, builder.extract_value(value, i)) for i, part in enumerate(kind)]
+        return context.make_tuple(builder, kind, parts)
+    return value
+
+
+@extending.intrinsic
+def _borrowed(typing_context, items):
+    """See `borrowed`."""
+    def lower(context, builder, signature, args):
+        return _forget_owners(context, builder, signature.args[0], args[0])
+    return items(items), lower
+
+
+def borrowed(items: tuple) -> tuple:
+    """The same arrays and tuples of arrays, without their reference counts; for a kernel's own arguments only.
+
+    numba counts every array of a tuple up and down at each call of a helper, atomically, and threads wait for one
+    another there. The caller of a kernel keeps its arguments alive anyway.
+    """
+    return items
+
+
+@extending.overload(borrowed)
+def _borrow(items):
+    return lambda items: _borrowed(items)
 
 
 class _Workers:

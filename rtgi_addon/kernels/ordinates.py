@@ -16,7 +16,7 @@ import numpy as np
 from .brdf import albedo_table, fresnel, ggx_lobe, lobe_albedos
 from .bvh import STACK, Bvh
 from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .light_grid import RAMP, LightGrid, seen_cells, trilinear_weights
 from .vec3 import ONE, ZERO, Vec3, dot, f32, load, load_column
 
@@ -134,6 +134,7 @@ def _glossy_lobe(lobe, n, to_light, alpha2, f0, direction, solid_angle, albedos,
 @pixel_jit
 def _prepare(begin, end, table, grid, bvh, offset_m, direction, solid_angle, albedos, least_alpha, diffuse, glossy, corner,
              seen):
+    grid, bvh = borrowed((grid, bvh))
     stack = np.empty(STACK, np.int32)
     for t in range(begin, end):
         n = load_column(table, NORMAL, t)
@@ -372,6 +373,7 @@ def _add_quadrant(light, x, n, corner, seen, grid, flux, g, first, lobe, mean, s
 
 @pixel_jit
 def _irradiance(begin, end, position, normal, flux, grid, bvh, offset_m, direction, solid_angle, axis_cosine, slope, out):
+    grid, bvh = borrowed((grid, bvh))
     quadrant = solid_angle.shape[0] // 4
     inv = ONE / grid.cell_m
     stack, seen, light = np.empty(STACK, np.int32), np.empty(64, np.bool_), np.empty(3, np.float32)

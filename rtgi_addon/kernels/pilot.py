@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from .bvh import STACK, closest_hit, is_occluded, triangle_normal
-from .jit import pixel_jit
+from .jit import borrowed, pixel_jit
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .vec3 import ONE, along, dot, f32, lifted, load, scaled, tangent_frame, to_world
 
 
 @pixel_jit
 def _lit_hits(begin, end, position, normal, bvh, to_sun, rays, offset_m, reach_m, seed, out, lit):
+    bvh, = borrowed((bvh,))
     for m in range(begin, end):
         stack = np.empty(STACK, np.int32)
         n = load(normal, m)
@@ -49,6 +50,7 @@ def lit_hits(position, normal, bvh, to_sun, rays, offset_m, reach_m, seed):
 
 @pixel_jit
 def _cast_rays(begin, end, origin, direction, bvh, near, reach, distance, slots, us, vs):
+    bvh, = borrowed((bvh,))
     for i in range(begin, end):
         stack = np.empty(STACK, np.int32)
         d = load(direction, i)

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .screen import HALF, TINY, seen_normal_vs
 from .shadow import ORTHOGRAPHIC
 from .vec3 import ONE, ZERO, f32
@@ -56,6 +56,7 @@ def _add(sums, weight, values):
 
 @pixel_jit
 def _smooth_planes(begin, end, s, values, radius, tolerance_px, out):
+    s, = borrowed((s,))
     channels, height, width = values.shape
     is_parallel = s.projection == ORTHOGRAPHIC
     for i in range(begin, end):
@@ -90,6 +91,7 @@ def smooth_planes(s, values, radius, tolerance_px):
 
 @pixel_jit
 def _spread_planes(begin, end, s, coarse, values, step, tolerance_px, out):
+    s, coarse = borrowed((s, coarse))
     channels, h, w = values.shape
     height, width = s.depth.shape
     is_parallel = s.projection == ORTHOGRAPHIC

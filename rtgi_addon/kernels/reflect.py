@@ -18,7 +18,7 @@ import numpy as np
 
 from .brdf import fit_lobe, fresnel, sample_lobe
 from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .lit_hits import edge_fade, gloss_of_lamps, lit_there
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .screen import HALF, seen_vs, turn_to_view, turn_to_world, view_vector
@@ -141,6 +141,7 @@ def draw_rays(begin, end, index, samples, s, planes, gloss, rules, seed, rays):
 
     Ray m * samples + k is sample k of pixel m.
     """
+    s, gloss, rules, rays = borrowed((s, gloss, rules, rays))
     width = s.depth.shape[1]
     for m in range(begin, end):
         i, j = index[m] // width, index[m] % width
@@ -199,6 +200,7 @@ def aim_rays(begin, end, position, normal, ids, samples, offset_m, seed, rays):
 @pixel_jit
 def follow_rays(begin, end, index, samples, s, pyramid, gloss, lights, rules, seed, rays):
     """Follow the rays that `draw_rays` drew for the pixels of `index` (M,) through the picture."""
+    s, pyramid, gloss, lights, rules, rays = borrowed((s, pyramid, gloss, lights, rules, rays))
     width, reach = s.depth.shape[1], np.float64(rules.reach_m)
     for m in range(begin, end):
         i, j = index[m] // width, index[m] % width
@@ -250,6 +252,7 @@ def collect_rays(begin, end, index, samples, rays, is_open, nearest_m, results):
     `is_open`: what the picture did not give is left out, and SHARE tells how much was given. Lengths below `nearest_m` count
     as that.
     """
+    rays, = borrowed((rays,))
     width = results.shape[1]
     for m in range(begin, end):
         out = results[index[m] // width, index[m] % width]

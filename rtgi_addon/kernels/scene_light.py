@@ -14,7 +14,7 @@ import numpy as np
 from .brdf import lobe_albedos
 from .bvh import STACK, closest_hit, triangle_normal
 from .depth_pyramid import height_at, plane_slopes
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .lit_hits import edge_fade, gloss_of_lamps, light_of_lamps, lit_there
 from .reflect import ASK
 from .sampling import cosine_hemisphere, uniform
@@ -59,6 +59,7 @@ def _colours_at(around, albedos, t, a, b, cosine):
 @pixel_jit
 def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, bvh, around, rules, seed, rays):
     """Answer the rays `asked` (K,) of `rays`, those of `draw_rays`: what the picture did not give is added."""
+    screen, gloss, lights, bvh, around, rules, rays = borrowed((screen, gloss, lights, bvh, around, rules, rays))
     width = screen.depth.shape[1]
     stack, light, other = np.empty(STACK, np.int32), np.empty(6, np.float32), np.empty(3, np.float32)
     for k in range(begin, end):

@@ -8,7 +8,7 @@ import numpy as np
 
 from .brdf import INV_PI
 from .bvh import STACK, visibility
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .octahedron import table_at
 from .sampling import TWO_PI, cosine_hemisphere, r2_sequence, uniform
 from .vec3 import ONE, ZERO, Vec3, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
@@ -52,6 +52,7 @@ def find_first(cdf, u):
 @pixel_jit
 def _gather_sky(begin, end, position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed,
                 out):
+    bvh, = borrowed((bvh,))
     height, width = radiance.shape[0], radiance.shape[1]
     by_map = int(f32(rays) * map_share)
     for m in range(begin, end):

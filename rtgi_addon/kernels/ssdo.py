@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from .fastmath import HALF_PI, PI, fast_atan2, fast_sin, fraction
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .octahedron import table_at
 from .sampling import near_weight, r2_sequence, uniform
 from .screen import TINY, dither, is_inside, point_vs, to_screen, to_viewer_vs, turn_to_view, turn_to_world
@@ -379,6 +379,7 @@ def gather_sectors(begin, end, s, table, ids, slots, radiance, sky, radius, thic
     the one before on the same sheet, whichever faces the pixel and is nearer; the solid angle is in the sector, so no cosine
     of the emitter enters. Taps farther than `radius` do not count. The bounce is weighted by `near_weight`.
     """
+    s, = borrowed((s,))
     number = ids.shape[0]
     for block in range(begin, end):
         first = np.int64(block) * LANES
@@ -412,6 +413,7 @@ def gather_samples(begin, end, s, ids, slots, radiance, sky, radius, fade, sampl
     share of `radius`; where the surface seen there lies nearer to the viewer, the direction is blocked and the surface is a
     patch of area pi radius^2 / samples that sends light.
     """
+    s, = borrowed((s,))
     width = s.depth.shape[1]
     patch_m2 = PI * radius * radius / f32(samples)
     for m in range(begin, end):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from .brdf import INV_PI, ggx_lobe
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .sky import find_first, sky_texel
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load, normalized_or, scaled, sub, tangent_frame, to_world
@@ -119,6 +119,7 @@ def _aimed_ray(rows, cells, targets, cdf, share, u, v, o, n):
 @pixel_jit
 def _gather_voxels(begin, end, position, normal, turn, walk, cells, levels, radiance, lobes, sky, targets, cdf, cones, aimed,
                    exact, seed, out):
+    walk, levels = borrowed((walk, levels))
     by_cosine = f32(cones - aimed)
     narrow = max(ONE - ONE / f32(cones), f32(0.5))          # cosine of the half angle of an even share of the hemisphere
     tangent = math.sqrt(ONE - narrow * narrow) / narrow
@@ -177,6 +178,7 @@ def gather_voxels(position, normal, turn, walk, cells, levels, radiance, lobes, 
 
 @pixel_jit
 def _gather_reflections(begin, end, position, normal, to_viewer, roughness, walk, levels, radiance, lobes, spread, out):
+    walk, levels = borrowed((walk, levels))
     for m in range(begin, end):
         p, n, v = load(position, m), load(normal, m), load(to_viewer, m)
         if not math.isfinite(p.x + p.y + p.z):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .vec3 import ONE, ZERO, along, f32, load
 from .voxels import axis_coverage
 
@@ -203,6 +203,7 @@ def trace_cone(levels, o, d, start, tangent, reach):
 
 @pixel_jit
 def _cast_cones(begin, end, levels, origin, direction, tangent, out):
+    levels, = borrowed((levels,))
     for i in range(begin, end):
         o, d = load(origin, i), load(direction, i)
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = trace_cone(levels, o, d, ZERO, tangent, FAR)

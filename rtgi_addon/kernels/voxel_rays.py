@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .sampling import uniform
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, sub
 from .voxels import BOX_STEPS, MASK_SIDE
@@ -305,6 +305,7 @@ def first_surface(walk, o, d, n, reach):
 
 @pixel_jit
 def _cast_voxel_rays(begin, end, walk, origin, direction, normal, reach, ts, rows, sides):
+    walk, = borrowed((walk,))
     for i in range(begin, end):
         n = load(normal, i)
         t, row, side = first_surface(walk, along(load(origin, i), n, LIFT), load(direction, i), n, reach)

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
-from .jit import device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .vec3 import ONE, ZERO, Vec3, dot, f32, length, load_column, load_pixel, scaled, sub
 from .voxel_rays import FAR, row_of, slot_mask, slot_plane
 
@@ -77,6 +77,7 @@ def measure_texels(position, normal, ids, rcp_cell):
 
 @pixel_jit
 def _find_sides(begin, end, walk, shape, table, edges, parts, first, origin, rcp_cell, good_score, out):
+    walk, = borrowed((walk,))
     for k in range(begin, end):
         n, count_u, count_v = load_column(table, NORMAL, k), parts[k, 0], parts[k, 1]
         middle = np.int64(-2)

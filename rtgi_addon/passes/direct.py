@@ -24,7 +24,7 @@ from ..core.transforms import Projection
 from ..kernels import lamps, shadow
 from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
 from ..kernels.bvh import STACK, Bvh, visibility
-from ..kernels.jit import device_jit, pixel_jit
+from ..kernels.jit import borrowed, device_jit, pixel_jit
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
 from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
@@ -329,6 +329,7 @@ def _light_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, test, strengt
 @pixel_jit
 def _light_pixels(begin, end, index, lamp, colours, pixels, salt, shadow_map, test, strength, bare, out, state):
     """`_light_at_pixel` for the pixels of `index` (K,); its answers into `state` (K,)."""
+    lamp, pixels, shadow_map, bare, out = borrowed((lamp, pixels, shadow_map, bare, out))
     for k in range(begin, end):
         state[k] = _light_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, test, strength, bare, out)
 
@@ -429,6 +430,7 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
 @pixel_jit
 def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, out):
     """Add the light that a second look at the map, and rays, find at the pixels `left` (M,) of `index` (K,)."""
+    lamp, pixels, shadow_map, bare, bvh, out = borrowed((lamp, pixels, shadow_map, bare, bvh, out))
     stack = np.empty(STACK, np.int32)
     for m in range(begin, end):
         k = left[m]
