@@ -38,17 +38,23 @@ CHEAP: dict[str, Params] = {
 SIZE = (16, 12)
 
 
-def run_as_it_is(name: str, frame: Frame, params: Params | None = None, seed: int = 3) -> PassResult:
-    """One technique; reflections get the direct light that they show."""
+# the techniques whose light another takes for its own
+EARLIER = {"ssr": ("direct",), "ssdo": ("direct",), "final_gather": ("world", "emission")}
+
+
+def run_as_it_is(name: str, frame: Frame, params: Params | None = None, seed: int = 3,
+                 earlier: dict[str, Params] = CHEAP) -> PassResult:
+    """One technique, after those whose light it takes, which run with the parameters `earlier`."""
     context = Context()
-    if name == "ssr":
-        context.light = dict(TECHNIQUES["direct"].compute(frame, CHEAP["direct"], Context(), seed).light)
+    for other in EARLIER.get(name, ()):
+        context.light |= TECHNIQUES[other].compute(frame, earlier[other], context, seed).light
     return TECHNIQUES[name].compute(frame, params or CHEAP[name], context, seed)
 
 
-def run(name: str, frame: Frame, params: Params | None = None, seed: int = 3) -> PassResult:
+def run(name: str, frame: Frame, params: Params | None = None, seed: int = 3,
+        earlier: dict[str, Params] = CHEAP) -> PassResult:
     """One technique on the frame as `pipeline.run` mends it."""
-    return run_as_it_is(name, mend_frame(frame), params, seed)
+    return run_as_it_is(name, mend_frame(frame), params, seed, earlier)
 
 
 def room(width: int = SIZE[0], height: int = SIZE[1], sky: float = 0.5) -> Frame:
