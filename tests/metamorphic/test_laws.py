@@ -32,6 +32,8 @@ from rtgi_addon.passes.base import Transport
 from tests.hard_frames import powered, run
 from tests.moved_frames import MIRROR, QUARTER, moved, turn
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 # The radius of the screen techniques is given: one that is taken from the scene's size follows a box along the axes, which
 # is another box when the scene is turned, and 7 % of their light with it.
 RADIUS_M = 0.8
