@@ -7,7 +7,12 @@ down, before and after what mends the case.
 from __future__ import annotations
 
 import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
 
+import numba
 import numpy as np
 
 from rtgi_addon.core.frame import Frame, Geometry, Light, LightKind, LightView, Material, World
@@ -18,10 +23,11 @@ from rtgi_addon.core.techniques import EmissionParams, LpvParams, RsmParams
 from rtgi_addon.core.transforms import Camera, Projection
 from rtgi_addon.kernels import harmonics, ordinates, vpl
 from rtgi_addon.kernels.bvh import build_bvh
+from rtgi_addon.kernels.jit import kernel_session
 from rtgi_addon.passes import TECHNIQUES
 from rtgi_addon.passes.base import Transport
 from rtgi_addon.passes.sky_light import texel_directions
-from tests.hard_frames import CHEAP, lamp_at, room, run, run_as_it_is, seen
+from tests.hard_frames import CHEAP, lamp_at, powered, room, run, run_as_it_is, seen
 from tests.lpv_scenes import NOTHING, cube, harmonic_source, lit_grid, rectangle, texels
 from tests.moved_frames import moved, turn
 from tests.plane_frames import geometry_of, looking, quad, view_from
@@ -37,6 +43,8 @@ WORLDS = dict.fromkeys(("world", "hbao", "ssao", "ssdo"), Transport.WORLD_DIFFUS
 # hbao, ssao and ssdo know the picture only: they take the sky for open where no surface in view hides it
 BY_SCENE = tuple(name for name in TECHNIQUES if name not in ("hbao", "ssao", "ssdo"))
 FLOOR_M = 20.0
+# irradiance in which the colour of a surface on the way is
+SEES_COLOUR = {Transport.BOUNCE_DIFFUSE, Transport.NEAR_DIFFUSE, Transport.WORLD_BOUNCE_DIFFUSE}
 
 
 def grey_world(radiance: float) -> World:
@@ -97,12 +105,22 @@ def corner_frame(reach_m: float) -> Frame:
     return Frame(camera, cast_view(camera, geometry, MATT), (sun,), (view,), geometry, MATT)
 
 
-def brightest_in_corner(name: str, params: Params, reach_m: float) -> float:
-    """The largest pixel over what is right there: 1/r^2 without bound would be a spike."""
+def over_right_in_corner(name: str, params: Params, reach_m: float) -> np.ndarray:
+    """(H, W) light of `corner_frame` over what is right there."""
     frame = corner_frame(reach_m)
     x, z = (frame.gbuffer.position_ws[..., axis].astype(float) for axis in (0, 2))
     wanted = 1.5 * (floor_beside_wall(2.0, 1 - x, z) + floor_beside_wall(2.0, 1 + x, z))
-    return float((run(name, frame, params).light[Transport.BOUNCE_DIFFUSE][..., 0] / wanted).max())
+    return run(name, frame, params).light[Transport.BOUNCE_DIFFUSE][..., 0] / wanted
+
+
+def brightest_in_corner(name: str, params: Params, reach_m: float) -> float:
+    """The largest pixel over what is right there: 1/r^2 without bound would be a spike."""
+    return float(over_right_in_corner(name, params, reach_m).max())
+
+
+def missing_in_corner(name: str, params: Params, reach_m: float) -> float:
+    """Share of the light that is missing; negative where there is too much."""
+    return 1 - float(over_right_in_corner(name, params, reach_m).mean())
 
 
 # ---- grazing angles ----
@@ -318,6 +336,52 @@ def beside_broken(name: str, what: str, is_mended: bool) -> float:
     return max(change) if np.isfinite(change).all() else float("inf")
 
 
+def of_power(name: str, factor: float) -> float:
+    """A room lit by `factor` times its power, scaled back, against the room."""
+    wanted = run(name, room()).light
+    got = {t: image.astype(np.float64) / factor for t, image in run(name, powered(room(), factor)).light.items()}
+    return farthest(got, wanted)
+
+
+def white_against_grey(name: str) -> float:
+    """Light between white surfaces, over what the albedo says, against that between grey ones."""
+    grey, white = (run(name, repainted(room(), a)).light for a in (0.5, 1.0))
+    return farthest({t: image / np.float32(2 if t in SEES_COLOUR else 1) for t, image in white.items()}, grey)
+
+
+def on_threads(name: str) -> int:
+    """Values of the picture that differ between one thread and all."""
+    found = []
+    for threads in (1, numba.config.NUMBA_NUM_THREADS):
+        with kernel_session(threads):
+            found.append(run(name, room(33, 19)).light)
+    return sum(int(np.count_nonzero(found[1][t] != image)) for t, image in found[0].items())
+
+
+def as_plain_python(light: dict[str, np.ndarray], name: str) -> float:
+    """Compiled kernels against `plain_python_light`."""
+    wanted = run(name, room()).light
+    return farthest({t: light[f"{name}|{t.value}"] for t in wanted}, wanted)
+
+
+_ALL_TECHNIQUES = """\
+import sys
+import numpy as np
+from tests.hard_frames import CHEAP, room, run
+np.savez(sys.argv[1], **{f"{name}|{transport.value}": image for name in CHEAP
+                         for transport, image in run(name, room()).light.items()})
+"""
+
+
+def plain_python_light(folder: Path) -> dict[str, np.ndarray]:
+    """{"technique|transport": light} of the room by kernels that are not compiled, from another process."""
+    root, path = Path(__file__).resolve().parent.parent, folder / "light.npz"
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(root)}
+    subprocess.run([sys.executable, "-W", "ignore", "-c", _ALL_TECHNIQUES, str(path)], cwd=root, env=environment, check=True)
+    with np.load(path) as data:
+        return dict(data)
+
+
 # ---- pixels ----
 def with_holes(frame: Frame) -> tuple[Frame, np.ndarray]:
     """The frame with every third pixel of every third row looking past everything; (H, W) bool of the others' surfaces."""
@@ -326,6 +390,20 @@ def with_holes(frame: Frame) -> tuple[Frame, np.ndarray]:
     is_seen = np.isfinite(depth)
     position = np.where(is_seen[..., None], frame.gbuffer.position_ws, 0).astype(np.float32)
     return seen(frame, depth=depth, position_ws=position), is_seen
+
+
+def change_by_holes(name: str) -> float:
+    """Largest change of a transport's mean over the surfaces that are left, the near bounce of ssdo aside."""
+    frame = room(25, 19)
+    holes, is_seen = with_holes(frame)
+    whole, got, surface = run(name, frame).light, run(name, holes).light, is_seen & frame.gbuffer.mask
+    return max(abs(float(got[t][surface].mean() / image[surface].mean()) - 1) for t, image in whole.items()
+               if image[surface].any() and t is not Transport.NEAR_DIFFUSE)
+
+
+def in_other_units(name: str, scale: float) -> float:
+    """The room with lengths times `scale` and fluxes times its square against the room."""
+    return farthest(run(name, moved(room(), np.eye(3), scale=scale)).light, run(name, room()).light)
 
 
 def pole_frame(width: int = 41, height: int = 31) -> tuple[Frame, np.ndarray]:

@@ -10,7 +10,7 @@ import pytest
 from rtgi_addon.core.techniques import EmissionParams, HbaoParams, VxgiParams
 from rtgi_addon.passes.base import Transport
 from tests import hard_cases
-from tests.hard_cases import WORLDS
+from tests.hard_cases import SEES_COLOUR, WORLDS
 from tests.hard_frames import CHEAP, room, run
 
 # broken frames, and small ones
@@ -21,7 +21,6 @@ DIGITS = 1e-4               # what positions a kilometre off the origin lose: 6e
 # emission: the points that shine are drawn in the order of their place, and another order is another draw (0.9 %);
 # final_gather: so is which pixel a ray meets (0.3 %)
 DIGITS_OF = {"emission": 0.03, "final_gather": 0.01}
-SEES_COLOUR = {Transport.BOUNCE_DIFFUSE, Transport.NEAR_DIFFUSE, Transport.WORLD_BOUNCE_DIFFUSE}
 
 
 @pytest.mark.parametrize("name", CHEAP)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtgi_addon import pipeline
@@ -119,7 +119,6 @@ def arrays_in(thing: Any) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("name", TECHNIQUES)
-@settings(max_examples=20)
 @given(data=st.data(), recipe=RECIPES, seed=st.integers(0, 2**31 - 1))
 def test_any_frame_and_parameters_give_light_as_documented(name, data, recipe, seed):
     params, frame = data.draw(params_of(name), label="params"), frame_of(recipe)
@@ -144,7 +143,6 @@ def test_any_frame_and_parameters_give_light_as_documented(name, data, recipe, s
     assert all(again.light[t].tobytes() == image.tobytes() for t, image in result.light.items())
 
 
-@settings(max_examples=20)
 @given(recipe=RECIPES, use_auto=st.booleans())
 def test_any_frame_gives_a_finite_picture(recipe, use_auto):
     frame = frame_of(recipe)
