@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtgi_addon import pipeline
-from rtgi_addon.core.frame import Frame, Geometry, LightKind, World
+from rtgi_addon.core.frame import Cutouts, Frame, Geometry, LightKind, World
 from rtgi_addon.core.params import Params
 from rtgi_addon.core.synthetic import cast_view, make_room_frame
 from rtgi_addon.core.techniques import TECHNIQUE_PARAMS, default_settings
@@ -64,6 +64,7 @@ class Recipe:
     projection: Projection
     place: tuple[float, float, float]
     shining: float              # share of the triangles
+    cut_out: float              # share of the triangles
     sky: tuple[int, int]        # rows and columns of its map, (0, 0) for none
     holes: float                # share of the pixels
     scale: float
@@ -76,9 +77,25 @@ RECIPES = st.builds(
     lamps=st.lists(st.sampled_from(list(LightKind)), max_size=2), lamps_size_m=st.sampled_from([0.0, 0.3]),
     has_ceiling=st.booleans(), projection=st.sampled_from([Projection.PERSPECTIVE, Projection.ORTHOGRAPHIC]),
     place=st.sampled_from([(0.0, -1.9, 1.5), (1.3, 1.2, 0.4), (-0.5, 0.6, 0.7), (-0.1, 1.1, 1.4), (0.0, 0.0, 9.0)]),
-    shining=st.sampled_from([0.0, 0.2]), sky=st.sampled_from([(0, 0), (1, 1), (4, 8)]), holes=st.sampled_from([0.0, 0.3]),
+    shining=st.sampled_from([0.0, 0.2]), cut_out=st.sampled_from([0.0, 0.4]),
+    sky=st.sampled_from([(0, 0), (1, 1), (4, 8)]), holes=st.sampled_from([0.0, 0.3]),
     scale=st.sampled_from([1.0, 1e-3, 1e4]), turn_rad=st.sampled_from([0.0, 1.1]),
     lacks=st.sampled_from(["nothing", "triangles", "views"]))
+
+
+def cutouts_of(rng: np.random.Generator, triangles: int, share: float) -> Cutouts | None:
+    """Leaves, whose map of 4x4 texels is there or not, and panes of an even opacity, on some of the triangles."""
+    which = rng.random(triangles) < share
+    number = int(which.sum())
+    if not number:
+        return None
+    row = np.full(triangles, -1, np.int32)
+    row[which] = np.arange(number)
+    is_pane = rng.random(number) < 0.5
+    texels = np.concatenate([rng.choice([0, 255], 16), [int(rng.integers(0, 256))]]).astype(np.uint8)
+    place = np.where(is_pane[:, None], [16, 1, 1], [0, 4, 4]).astype(np.int32)
+    coverage = np.where(is_pane, texels[16] / 255, texels[:16].mean() / 255).astype(np.float32)
+    return Cutouts(row, rng.uniform(-8, 8, (number, 3, 2)).astype(np.float32), coverage, is_pane, place, texels)
 
 
 def frame_of(recipe: Recipe) -> Frame:
@@ -94,6 +111,7 @@ def frame_of(recipe: Recipe) -> Frame:
     emission = np.zeros_like(room.geometry.emission)
     emission[rng.random(len(emission)) < recipe.shining] = (3.0, 1.0, 0.0)
     geometry = dataclasses.replace(room.geometry, albedo=np.repeat(albedo[:, None], 3, 1), emission=emission)
+    geometry = dataclasses.replace(geometry, cutouts=cutouts_of(rng, len(geometry), recipe.cut_out))
     world = World(rng.uniform(0, 2, (*recipe.sky, 3)).astype(np.float32)) if all(recipe.sky) else World()
     views = tuple(dataclasses.replace(v, gbuffer=cast_view(v.camera, geometry, materials)) for v in room.views)
     frame = dataclasses.replace(room, camera=camera, gbuffer=cast_view(camera, geometry, materials), geometry=geometry,

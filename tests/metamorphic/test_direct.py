@@ -85,10 +85,11 @@ def test_black_light_gives_exactly_nothing():
     assert not diffuse(with_lights(frame, dataclasses.replace(frame.lights[0], power=np.zeros(3)))).any()
 
 
-@pytest.mark.parametrize("kind", [LightKind.SPOT, LightKind.POINT])
-def test_moving_everything_changes_nothing(kind):
+@pytest.mark.parametrize("kind", LightKind)
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 1e4])
+def test_moving_and_scaling_everything_changes_nothing(kind, scale):
     frame = make_room_frame(32, 24, (kind,), 0.0)
-    other = diffuse(moved(frame, turn((1, 2, 3), 1.1), np.array([3.0, -2.0, 1.0])))
+    other = diffuse(moved(frame, turn((1, 2, 3), 1.1), scale * np.array([3.0, -2.0, 1.0]), scale))
     same = np.isclose(other, diffuse(frame), rtol=MOVED, atol=1e-6).all(-1)
     assert same.mean() >= 0.995         # a pixel on the very edge of a shadow may fall to the other side
 
