@@ -7,10 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rtgi_addon.core.frame import Frame, Geometry, LightKind, World
+from rtgi_addon.core.frame import Frame, GBuffer, Geometry, LightKind, World
 from rtgi_addon.core.mending import mend_frame
 from rtgi_addon.core.params import Params
-from rtgi_addon.core.synthetic import make_room_frame
+from rtgi_addon.core.radiometry import texel_flux
+from rtgi_addon.core.synthetic import cast_view, make_room_frame
 from rtgi_addon.core.techniques import (
     DirectParams,
     EmissionParams,
@@ -38,17 +39,23 @@ CHEAP: dict[str, Params] = {
 SIZE = (16, 12)
 
 
-def run_as_it_is(name: str, frame: Frame, params: Params | None = None, seed: int = 3) -> PassResult:
-    """One technique; reflections get the direct light that they show."""
+# the techniques whose light another takes for its own
+EARLIER = {"ssr": ("direct",), "ssdo": ("direct",), "final_gather": ("world", "emission")}
+
+
+def run_as_it_is(name: str, frame: Frame, params: Params | None = None, seed: int = 3,
+                 earlier: dict[str, Params] = CHEAP) -> PassResult:
+    """One technique, after those whose light it takes, which run with the parameters `earlier`."""
     context = Context()
-    if name == "ssr":
-        context.light = dict(TECHNIQUES["direct"].compute(frame, CHEAP["direct"], Context(), seed).light)
+    for other in EARLIER.get(name, ()):
+        context.light |= TECHNIQUES[other].compute(frame, earlier[other], context, seed).light
     return TECHNIQUES[name].compute(frame, params or CHEAP[name], context, seed)
 
 
-def run(name: str, frame: Frame, params: Params | None = None, seed: int = 3) -> PassResult:
+def run(name: str, frame: Frame, params: Params | None = None, seed: int = 3,
+        earlier: dict[str, Params] = CHEAP) -> PassResult:
     """One technique on the frame as `pipeline.run` mends it."""
-    return run_as_it_is(name, mend_frame(frame), params, seed)
+    return run_as_it_is(name, mend_frame(frame), params, seed, earlier)
 
 
 def room(width: int = SIZE[0], height: int = SIZE[1], sky: float = 0.5) -> Frame:
@@ -102,9 +109,6 @@ def with_triangles(frame: Frame, *meshes: np.ndarray) -> Frame:
 
 def lamp_at(frame: Frame, position: tuple[float, float, float]) -> Frame:
     """The frame with its first lamp elsewhere; the lamp's view stays, as if of another lamp, but is taken from there."""
-    from rtgi_addon.core.radiometry import texel_flux
-    from rtgi_addon.core.synthetic import cast_view
-
     light, view = frame.lights[0], frame.views[0]
     matrix = light.world_from_light.copy()
     matrix[:3, 3] = position
@@ -115,6 +119,31 @@ def lamp_at(frame: Frame, position: tuple[float, float, float]) -> Frame:
     return dataclasses.replace(frame, lights=(light,), views=(view,))
 
 
+def mirrors(frame: Frame, roughness: float) -> Frame:
+    """The frame with nothing but gloss, for the camera and for the lamps."""
+    def polished(g: GBuffer) -> GBuffer:
+        return dataclasses.replace(g, albedo=np.zeros_like(g.albedo), specular=np.ones_like(g.specular),
+                                   roughness=np.full_like(g.roughness, roughness))
+
+    views = tuple(dataclasses.replace(v, gbuffer=polished(v.gbuffer)) for v in frame.views)
+    return dataclasses.replace(frame, gbuffer=polished(frame.gbuffer), views=views)
+
+
+def looked_at(frame: Frame, position: tuple[float, float, float]) -> Frame:
+    """The frame from another place, in the same direction."""
+    matrix = frame.camera.world_from_view.copy()
+    matrix[:3, 3] = position
+    camera = dataclasses.replace(frame.camera, world_from_view=matrix)
+    return dataclasses.replace(frame, camera=camera, gbuffer=cast_view(camera, frame.geometry, frame.materials))
+
+
+def of_any_depth(frame: Frame) -> Frame:
+    """The frame with pixels at 1e-3 to 1e6 m, side by side; nothing fits to its triangles."""
+    depth = np.exp(np.random.default_rng(2).uniform(np.log(1e-3), np.log(1e6), frame.gbuffer.shape)).astype(np.float32)
+    return seen(frame, depth=depth, position_ws=frame.camera.positions_ws(depth))
+
+
+UP = np.array([0, 0, 1], np.float32)
 _NAN, _INF = float("nan"), float("inf")
 BROKEN = np.array([[[0, 0, 0.5], [_NAN, 1, 0], [1, 0, 0]], [[0, 0, 0.5], [0, 0, 0.5], [1, 0, 1]],
                    [[0, 0, _INF], [0, 1, 0], [1, 0, 0]], [[0.2, 0.2, 0.3]] * 3])
@@ -136,7 +165,7 @@ def odd_frames() -> dict[str, Callable[[], Frame]]:
     for value in (_NAN, _INF, 1e30):
         frames[f"sky {value:g}"] = lambda value=value: dataclasses.replace(
             room(), world=World(np.full((4, 8, 3), value, np.float32)))
-    for width, height in ((1, 1), (2, 1), (1, 3), (3, 2)):
+    for width, height in ((1, 1), (2, 1), (1, 3), (3, 2), (7, 5)):
         frames[f"{width} x {height} pixels"] = lambda width=width, height=height: room(width, height)
     frames["no surface in view"] = lambda: seen(
         room(), depth=np.full(SIZE[::-1], np.inf, np.float32), position_ws=np.zeros((*SIZE[::-1], 3), np.float32))
@@ -151,6 +180,15 @@ def odd_frames() -> dict[str, Callable[[], Frame]]:
     frames["lamp in the corner"] = lambda: lamp_at(room(), (-1.9999, 1.9999, 1e-4))
     frames["lamp on the floor"] = lambda: lamp_at(room(), (0.4, -0.3, 0.0))
     frames["lamp inside the box"] = lambda: lamp_at(room(), (-0.5, 0.6, 0.7))
+    for roughness in (0.0, 1.0):
+        frames[f"mirrors of roughness {roughness:g} all around"] = lambda roughness=roughness: mirrors(room(), roughness)
+    frames["camera inside the box"] = lambda: looked_at(room(), (-0.5, 0.6, 0.7))
+    frames["camera in the box's front face"] = lambda: looked_at(room(), (-0.5, 0.2, 0.7))
+    frames["near plane through the box"] = lambda: looked_at(room(), (-0.5, 0.199, 0.7))
+    frames["normals turned away"] = lambda: seen(room(), normal_ws=-room().gbuffer.normal_ws)
+    # for all but the floor and the box's top
+    frames["normals edge on"] = lambda: seen(room(), normal_ws=np.zeros_like(room().gbuffer.normal_ws) + UP)
+    frames["depths from 1 mm to 1000 km"] = lambda: of_any_depth(room())
     frames["a million million watts"] = lambda: powered(room(), 1e10)
     return frames
 

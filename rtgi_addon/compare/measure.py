@@ -68,7 +68,7 @@ def errors_of(result: Result, reference: Reference) -> dict[str, Any]:
         mean = reference.mean(part)
         difference = np.abs(metrics.block_sums(test, mask) - metrics.block_sums(mean, mask)).sum()
         errors[part] = {"of_picture": float(difference / light_of_picture)}
-        if mean[mask].sum() > BLACK * light_of_picture:
+        if not mean[mask].sum() <= BLACK * light_of_picture:       # NaN too: it has to be named
             errors[part] |= _errors(test, *halves, mask)
     return errors
 
@@ -78,7 +78,7 @@ def noise_of(reference: Reference) -> dict[str, float]:
     mask, noise = reference.mask, {}
     light_of_picture = float(reference.mean("picture")[mask].sum())
     for part in ("picture", *PARTS):
-        if reference.mean(part)[mask].sum() > BLACK * light_of_picture:
+        if not reference.mean(part)[mask].sum() <= BLACK * light_of_picture:
             noise[part] = metrics.block_noise(*reference.halves(part), mask)
     return noise
 

@@ -75,8 +75,11 @@ def _window_means(image: np.ndarray, size: int) -> np.ndarray:
 def relative_error(test: np.ndarray, reference: np.ndarray, window_px: int = ERROR_WINDOW_PX) -> np.ndarray:
     """(H, W) float64 |T - R| / max(R, a tenth of the mean R) of the luminance, T - R and R being means over a small window.
 
-    The window takes out most of the reference's noise, which would else be all that the map shows.
+    The window takes out most of the reference's noise, which would else be all that the map shows. InputError for a value
+    that is not finite: it would blacken a window, or look like no error.
     """
+    if not (np.isfinite(test[..., :3]).all() and np.isfinite(reference[..., :3]).all()):
+        raise InputError("a picture with values that are not finite has no error map")
     t, r = (luminance_of(np.asarray(image, np.float64)[..., :3]) for image in (test, reference))
     floor = DARK * r.mean()
     return np.abs(_window_means(t - r, window_px)) / np.maximum(_window_means(r, window_px), floor if floor > 0 else 1.0)

@@ -222,7 +222,7 @@ def _summarise_each(begin, stop, T, start, end, out):
             spread2 = max(spread2, ex * ex + ey * ey + ez * ez)
         out[C_RADIUS2, c], out[C_SPREAD, c] = radius2, math.sqrt(spread2)
         out[C_DIFFUSE, c], out[C_GLOSSY, c] = diffuse / 3, glossy / 3
-        spread = 2 * (2 - n_length - l_length)
+        spread = max(2 * (2 - n_length - l_length), 0.0)    # rounding makes means of unit vectors longer than 1
         out[C_ALPHA2, c] = min(1.0, alpha2 / max(glossy, 1e-300) + spread)
         out[C_F0, c] = f0 / max(glossy, 1e-300)
 

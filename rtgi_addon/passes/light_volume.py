@@ -129,9 +129,9 @@ def merge_texels(table: np.ndarray, grid: LightGrid) -> np.ndarray:
     for a in range(3):
         out[DIFFUSE + a] = np.bincount(group, table[DIFFUSE + a], number)
         out[GLOSSY + a] = np.bincount(group, np.where(glossy > 0, table[GLOSSY + a], 0), number)
-    shine = summed(glossy)
+    shine, spread = summed(glossy), np.maximum(2 * (2 - n_length - l_length), 0)    # rounding may make a mean longer than 1
     inv = 1 / np.maximum(shine, 1e-300)
-    out[ALPHA2] = np.where(shine > 0, np.minimum(summed(glossy, ALPHA2) * inv + 2 * (2 - n_length - l_length), 1), NO_LOBE)
+    out[ALPHA2] = np.where(shine > 0, np.minimum(summed(glossy, ALPHA2) * inv + spread, 1), NO_LOBE)
     out[F0] = summed(glossy, F0) * inv
     return out
 

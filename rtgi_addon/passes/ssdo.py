@@ -146,7 +146,8 @@ def _world_light(frame: Frame, shares: np.ndarray, opened: np.ndarray) -> tuple[
     mask = frame.gbuffer.mask
     light = np.multiply(opened, np.moveaxis(shares, 0, -1)) if not frame.world.is_black else opened
     if len(shares) == 1:
-        return light, np.where(mask, shares[0], f32(1))
+        # few samples of the published form add up to more than an open sky; the light keeps that, for its mean is right
+        return light, np.where(mask, np.minimum(shares[0], f32(1)), f32(1))
     brightness = opened.sum(-1)
     visibility = np.divide(light.sum(-1), brightness, out=np.ones(mask.shape, np.float32), where=brightness > 0)
     return light, np.minimum(visibility, f32(1))

@@ -11,7 +11,8 @@ from rtgi_addon.core.mending import mend_frame
 from rtgi_addon.passes import TECHNIQUES
 from tests.hard_frames import CHEAP, ODD_FRAMES, powered, room, run, spoilt
 
-pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")    # the frames themselves are broken
+# broken frames, and small ones
+pytestmark = [pytest.mark.filterwarnings("ignore::RuntimeWarning"), pytest.mark.usefixtures("one_thread")]
 
 ROUNDING = 2e-5             # sums of float32 whose terms have other digits
 

@@ -7,13 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Frame, LightKind
+from rtgi_addon.core.frame import LightKind
 from rtgi_addon.core.synthetic import cast_view, make_room_frame
 from rtgi_addon.core.techniques import DirectParams
 from rtgi_addon.errors import Cancelled
 from rtgi_addon.kernels.jit import kernel_session
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.direct import compute_direct
+from tests.moved_frames import moved, turn
 
 FLOAT32 = 2e-5          # a few roundings of sums and products
 MOVED = 5e-4            # positions rounded anew at coordinates of some metres, at pixels near a lamp
@@ -84,51 +85,13 @@ def test_black_light_gives_exactly_nothing():
     assert not diffuse(with_lights(frame, dataclasses.replace(frame.lights[0], power=np.zeros(3)))).any()
 
 
-def moved(frame: Frame, rotation: np.ndarray, shift: np.ndarray, scale: float = 1.0) -> Frame:
-    """The same frame turned, shifted and scaled; lamps keep their power."""
-    def matrix(m):
-        out = np.eye(4)
-        out[:3, :3], out[:3, 3] = rotation @ m[:3, :3], scale * rotation @ m[:3, 3] + shift
-        return out
-
-    def points(a):
-        return (scale * a.astype(float) @ rotation.T + shift).astype(np.float32)
-
-    def image(g):
-        return dataclasses.replace(g, depth=np.float32(scale) * g.depth, position_ws=points(g.position_ws),
-                                   normal_ws=(g.normal_ws.astype(float) @ rotation.T).astype(np.float32))
-
-    lights = tuple(dataclasses.replace(x, world_from_light=matrix(x.world_from_light), radius_m=scale * x.radius_m)
-                   for x in frame.lights)
-    def view(camera):
-        return dataclasses.replace(camera, world_from_view=matrix(camera.world_from_view))
-
-    views = tuple(dataclasses.replace(v, camera=view(v.camera), gbuffer=image(v.gbuffer)) for v in frame.views)
-    return dataclasses.replace(
-        frame, camera=view(frame.camera), gbuffer=image(frame.gbuffer), lights=lights, views=views,
-        geometry=dataclasses.replace(frame.geometry, corners_ws=points(frame.geometry.corners_ws)))
-
-
-def turn(axis, angle):
-    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
-
-
-@pytest.mark.parametrize("kind", [LightKind.SPOT, LightKind.POINT])
-def test_moving_everything_changes_nothing(kind):
+@pytest.mark.parametrize("kind", LightKind)
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 1e4])
+def test_moving_and_scaling_everything_changes_nothing(kind, scale):
     frame = make_room_frame(32, 24, (kind,), 0.0)
-    other = diffuse(moved(frame, turn((1, 2, 3), 1.1), np.array([3.0, -2.0, 1.0])))
+    other = diffuse(moved(frame, turn((1, 2, 3), 1.1), scale * np.array([3.0, -2.0, 1.0]), scale))
     same = np.isclose(other, diffuse(frame), rtol=MOVED, atol=1e-6).all(-1)
     assert same.mean() >= 0.995         # a pixel on the very edge of a shadow may fall to the other side
-
-
-@pytest.mark.parametrize("scale", [1e-3, 8.0, 1e4])
-def test_scaled_scene_with_the_same_lamps_dims_with_the_square(scale):
-    frame = make_room_frame(32, 24, (LightKind.SPOT,), 0.0)
-    other = diffuse(moved(frame, np.eye(3), np.zeros(3), scale))
-    same = np.isclose(other * scale**2, diffuse(frame), rtol=MOVED, atol=1e-6).all(-1)
-    assert same.mean() >= 0.995
 
 
 @pytest.mark.parametrize("kind", LightKind)

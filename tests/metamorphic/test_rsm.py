@@ -14,7 +14,7 @@ from rtgi_addon.core.synthetic import make_room_frame
 from rtgi_addon.core.techniques import RsmParams
 from rtgi_addon.kernels import vpl
 from rtgi_addon.kernels.bvh import build_bvh
-from rtgi_addon.kernels.clusters import cluster_texels
+from rtgi_addon.kernels.clusters import C_ALPHA2, cluster_texels
 from rtgi_addon.kernels.gather import gather_visible
 from rtgi_addon.kernels.jit import kernel_session
 from rtgi_addon.passes.base import Context, Transport
@@ -257,6 +257,13 @@ def test_any_clusters_give_finite_light_that_is_never_negative(seed, texels, clu
     bvh = build_bvh(np.zeros((0, 3, 3), np.float32))
     e = gather_visible(position, normal, np.arange(4), grouped, np.float32(1e-8), bvh, 8, np.float32(1e-5), seed)
     assert np.isfinite(e).all() and (e[:, :3] >= 0).all()
+
+
+def test_clusters_of_mirrors_are_no_smoother_than_mirrors(rng):
+    table = random_table(rng, 900)
+    table[15] = 0
+    # rounding makes half of the unit vectors longer than 1, and a negative roughness has no square root
+    assert (cluster_texels(table, 900, 2.0).table[C_ALPHA2] >= 0).all()
 
 
 @pytest.mark.parametrize("method", METHODS)

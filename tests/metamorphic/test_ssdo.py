@@ -17,6 +17,7 @@ from rtgi_addon.errors import Cancelled
 from rtgi_addon.kernels.jit import kernel_session
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.ssdo import compute_ssdo
+from tests.moved_frames import moved
 
 FORMS = ("SECTORS", "SAMPLES")
 NEAR, WORLD = Transport.NEAR_DIFFUSE, Transport.WORLD_DIFFUSE
@@ -112,19 +113,6 @@ def test_beside_a_bounce_that_is_whole_only_the_worlds_light_bounces(room, lamp_
 
 
 # ---- geometry ----
-def moved(frame: Frame, turn: np.ndarray, shift: np.ndarray, scale: float = 1.0) -> Frame:
-    """The frame turned, then scaled, then shifted; camera and all."""
-    g, pose = frame.gbuffer, frame.camera.world_from_view.copy()
-    pose[:3, :3], pose[:3, 3] = turn @ pose[:3, :3], scale * (turn @ pose[:3, 3]) + shift
-    gbuffer = dataclasses.replace(
-        g, depth=g.depth * np.float32(scale), normal_ws=(g.normal_ws @ turn.T).astype(np.float32),
-        position_ws=np.where(g.mask[..., None], scale * (g.position_ws @ turn.T) + shift, 0).astype(np.float32))
-    geometry = dataclasses.replace(
-        frame.geometry, corners_ws=(scale * (frame.geometry.corners_ws @ turn.T) + shift).astype(np.float32))
-    return dataclasses.replace(frame, camera=dataclasses.replace(frame.camera, world_from_view=pose), gbuffer=gbuffer,
-                               geometry=geometry)
-
-
 def nearly_all(a: np.ndarray, b: np.ndarray) -> bool:
     """Rounding moves a tap to the next pixel, or a sector over its edge, once in a while."""
     return bool(np.mean(np.isclose(a, b, rtol=2e-2, atol=2e-3 * b.mean())) > 0.97) and abs(a.mean() / b.mean() - 1) < 5e-3
@@ -145,7 +133,7 @@ def test_rigid_motion_changes_nothing(room, lamp_light, form):
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_a_scene_of_another_size_gets_the_same_light(room, lamp_light, scale, form):
-    there = moved(room, np.eye(3), np.zeros(3), scale)
+    there = moved(room, np.eye(3), scale=scale)
     for radius in (2.0, 0.0):                                     # one that is given, and one taken from the scene's size
         before = light(room, lamp_light, form=form, radius_m=radius)
         after = light(there, lamp_light, form=form, radius_m=radius * scale)

@@ -7,13 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Frame, Geometry, Light, LightKind, LightView, World
+from rtgi_addon.core.frame import Frame, Geometry, Light, LightKind, World
 from rtgi_addon.core.synthetic import cast_view, make_room_frame
 from rtgi_addon.core.techniques import VxgiParams
-from rtgi_addon.core.transforms import Camera, Projection
+from rtgi_addon.core.transforms import Projection
 from rtgi_addon.kernels.jit import kernel_session
 from rtgi_addon.passes.base import Context, PassResult, Transport
 from rtgi_addon.passes.vxgi import compute_vxgi
+from tests.moved_frames import NOWHERE, QUARTER, moved
 from tests.plane_frames import frame_of, geometry_of, looking, quad, view_from
 
 BOUNCE, EMISSION = Transport.BOUNCE_DIFFUSE, Transport.EMISSION_DIFFUSE
@@ -31,43 +32,7 @@ def run(frame: Frame, params: VxgiParams = QUICK, seed: int = 0) -> PassResult:
     return compute_vxgi(frame, params, Context(), seed)
 
 
-def moved(frame: Frame, matrix: np.ndarray, scale: float = 1.0) -> Frame:
-    """A frame turned and shifted as a whole (4, 4), and scaled; powers stay, so irradiance falls with the scale's square."""
-    rotation = matrix[:3, :3]
-
-    def place(p: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray(scale * (p @ rotation.T + matrix[:3, 3]), np.float32)
-
-    def eye(camera: Camera) -> Camera:
-        world = matrix @ camera.world_from_view
-        world[:3, 3] *= scale
-        flat = scale if camera.projection is Projection.ORTHOGRAPHIC else 1.0
-        return dataclasses.replace(camera, world_from_view=world, left=camera.left * flat, right=camera.right * flat,
-                                   bottom=camera.bottom * flat, top=camera.top * flat)
-
-    def seen(g):
-        return dataclasses.replace(g, depth=(g.depth * np.float32(scale)), position_ws=place(g.position_ws),
-                                   normal_ws=np.ascontiguousarray(g.normal_ws @ rotation.T, np.float32))
-
-    def lamp(light: Light) -> Light:
-        world = matrix @ light.world_from_light
-        world[:3, 3] *= scale
-        return dataclasses.replace(light, world_from_light=world)
-
-    geometry = dataclasses.replace(frame.geometry, corners_ws=place(frame.geometry.corners_ws))
-    views = tuple(LightView(v.light_index, eye(v.camera), seen(v.gbuffer), v.incident_flux) for v in frame.views)
-    return dataclasses.replace(frame, camera=eye(frame.camera), gbuffer=seen(frame.gbuffer), geometry=geometry, views=views,
-                               lights=tuple(map(lamp, frame.lights)))
-
-
-def shift(x: float, y: float, z: float) -> np.ndarray:
-    out = np.eye(4)
-    out[:3, 3] = x, y, z
-    return out
-
-
-QUARTER = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-ON_ITS_SIDE = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+ON_ITS_SIDE = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0.0]])
 
 
 def brighter(frame: Frame, factor: float) -> Frame:
@@ -86,28 +51,15 @@ def test_the_same_bits_on_one_and_two_threads(params):
         assert light.tobytes() == found[1].light[transport].tobytes()
 
 
-def test_twice_the_power_is_twice_the_light():
-    frame = room()
-    assert np.allclose(run(brighter(frame, 4)).light[BOUNCE], 4 * run(frame).light[BOUNCE], rtol=1e-5, atol=1e-9)
-
-
 def test_no_light_gives_exactly_nothing():
     for light in run(brighter(room(), 0.0), ALL_OF_IT).light.values():
         assert not light.any()
 
 
-def test_light_of_two_lamps_adds_up():
-    both = room((LightKind.SPOT, LightKind.POINT))
-    one, other = (dataclasses.replace(both, views=both.views[i:i + 1]) for i in (0, 1))
-    whole = run(both, WIDE).light[BOUNCE]
-    parts = run(one, WIDE).light[BOUNCE] + run(other, WIDE).light[BOUNCE]
-    assert np.allclose(whole, parts, rtol=1e-3, atol=1e-4 * whole.mean())      # the same cones, float32 sums
-
-
 @pytest.mark.parametrize("scale", [2.0**-10, 2.0**10])
-def test_unit_of_the_scene_changes_nothing_but_the_square_of_distance(scale):
+def test_unit_of_the_scene_changes_nothing(scale):
     frame = room()
-    got = run(moved(frame, np.eye(4), scale)).light[BOUNCE] * scale**2
+    got = run(moved(frame, np.eye(3), scale=scale)).light[BOUNCE]
     assert np.allclose(got, run(frame).light[BOUNCE], rtol=1e-4, atol=1e-6)
 
 
@@ -115,7 +67,7 @@ def test_unit_of_the_scene_changes_nothing_but_the_square_of_distance(scale):
 @pytest.mark.parametrize("params", [WIDE, dataclasses.replace(WIDE, exact_voxels=0)], ids=["exact", "cones"])
 def test_a_thousand_times_larger_scene_looks_the_same(scale, params):
     frame = room()
-    plain, got = run(frame, params).light[BOUNCE], run(moved(frame, np.eye(4), scale), params).light[BOUNCE] * scale**2
+    plain, got = run(frame, params).light[BOUNCE], run(moved(frame, np.eye(3), scale=scale), params).light[BOUNCE]
     # digits differ, so a ray at an edge may fall to the other side
     assert np.abs(got - plain).mean() < 2e-3 * plain.mean()
 
@@ -123,10 +75,11 @@ def test_a_thousand_times_larger_scene_looks_the_same(scale, params):
 @pytest.mark.parametrize("name", ["turned", "on its side", "moved"])
 @pytest.mark.parametrize("params", [WIDE, dataclasses.replace(WIDE, exact_voxels=0)], ids=["exact", "cones"])
 def test_a_quarter_turn_of_all_changes_nothing(name, params):
-    turn = {"turned": QUARTER, "on its side": ON_ITS_SIDE, "moved": QUARTER @ shift(3.0, -5.0, 2.0)}[name]
+    turn, shift = {"turned": (QUARTER, NOWHERE), "on its side": (ON_ITS_SIDE, NOWHERE),
+                   "moved": (QUARTER, np.array([5.0, 3.0, 2.0]))}[name]
     # the grid of the room is 24x24x19: not a cube
     frame = room()
-    plain, got = run(frame, params).light[BOUNCE], run(moved(frame, turn), params).light[BOUNCE]
+    plain, got = run(frame, params).light[BOUNCE], run(moved(frame, turn, shift), params).light[BOUNCE]
     other = run(frame, params, seed=1).light[BOUNCE]
     noise = np.abs(plain - other).mean() / plain.mean()
     assert noise < NOISE and np.abs(got - plain).mean() < (2 * noise + 2e-3) * plain.mean()
@@ -135,7 +88,9 @@ def test_a_quarter_turn_of_all_changes_nothing(name, params):
 
 def test_a_roll_of_the_camera_changes_nothing():
     frame = room(width=16, height=16)
-    rolled = dataclasses.replace(frame.camera, world_from_view=frame.camera.world_from_view @ QUARTER)
+    roll = np.eye(4)
+    roll[:3, :3] = QUARTER
+    rolled = dataclasses.replace(frame.camera, world_from_view=frame.camera.world_from_view @ roll)
     turned = dataclasses.replace(frame, camera=rolled, gbuffer=cast_view(rolled, frame.geometry))
     plain, got = run(frame, WIDE).light[BOUNCE], run(turned, WIDE).light[BOUNCE]
     # the camera turned against the clock, so its picture turned with the clock: turn it back

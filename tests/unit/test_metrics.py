@@ -81,6 +81,45 @@ def test_every_comparator_sees_a_gain_or_a_shift():
     assert set(SEES_GAIN) | set(SEES_SHIFT) == set(COMPARATORS)
 
 
+# what two halves that should differ by noise alone differ by, as comparators of one half with the other
+NOISES = {"block_noise": metrics.block_noise, "nrmse_noise": metrics.nrmse_noise,
+          "smoothed_relmse_noise": metrics.smoothed_relmse_noise}
+# half of what 2 % and this picture's edges make of the mean's error, squared for the last; a twentieth of a shift's edges
+NOISE_OF_GAIN = {"block_noise": 0.0098, "nrmse_noise": 0.0098, "smoothed_relmse_noise": 5e-5}
+NOISE_OF_SHIFT = {"block_noise": 0.005, "nrmse_noise": 0.05, "smoothed_relmse_noise": 0.003}
+
+
+def test_every_metric_is_tried():
+    public = {name for name, thing in vars(metrics).items()
+              if callable(thing) and thing.__module__ == metrics.__name__ and not name.startswith("_")}
+    helpers = {"block_sums", "window_sums", "luminance_of"}
+    assert public - helpers == (set(COMPARATORS) | set(NOISES) | {"after_best_scale"}) - {"best_scale", "block_after_scale"}
+
+
+@pytest.mark.parametrize("name", NOISES)
+def test_noise_of_equal_halves_is_nothing(name, truth, mask):
+    assert NOISES[name](truth, truth, mask) < EXACT
+
+
+@pytest.mark.parametrize("name", NOISES)
+def test_a_half_that_is_two_percent_brighter_is_seen(name, truth, mask):
+    assert NOISES[name](truth * GAIN, truth, mask) > NOISE_OF_GAIN[name]
+
+
+@pytest.mark.parametrize("name", NOISES)
+def test_a_half_that_is_shifted_by_a_pixel_is_seen(name, truth, mask):
+    assert NOISES[name](np.roll(truth, SHIFT_PX, 1), truth, mask) > NOISE_OF_SHIFT[name]
+
+
+@pytest.mark.parametrize("name", NOISES)
+@pytest.mark.parametrize("half", [0, 1])
+def test_one_nan_in_a_half_is_an_error(name, half, truth, mask):
+    halves = [truth.copy(), truth.copy()]
+    halves[half][7, 3, 1] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        NOISES[name](*halves, mask)
+
+
 @pytest.mark.parametrize("name", ["energy_ratio", "luminance_bias"])
 def test_brightness_alone_would_miss_a_shift(name, truth):
     everywhere = np.ones(truth.shape[:2], bool)

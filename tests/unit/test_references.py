@@ -136,6 +136,26 @@ def test_flip_of_the_library_is_returned(tmp_path):
     assert flip.mean_flip(GREY + np.uint8(51), GREY, python) == pytest.approx(0.2, abs=1e-6)     # float32
 
 
+def test_two_percent_and_a_pixel_reach_the_library_of_flip(tmp_path, rng):
+    # the pictures arrive as they are, test and reference not exchanged: what the library makes of them is its own
+    python = stand_in(tmp_path, "def evaluate(reference, test, kind, inputsRGB, applyMagma):\n"
+                                "    return None, float((test - reference).mean() + 2 * abs(test - reference).mean()), {}\n")
+    picture = rng.integers(20, 200, (8, 8, 3), np.uint8)
+    gain = np.round(picture * 1.02).astype(np.uint8)
+    shift = np.roll(picture, 1, 1)
+    for changed in (gain, shift):
+        d = changed.astype(float) / 255 - picture / 255
+        assert flip.mean_flip(changed, picture, python) == pytest.approx(d.mean() + 2 * abs(d).mean(), abs=1e-6) != 0
+
+
+def test_flip_takes_nothing_that_could_hold_a_nan():
+    broken = GREY.astype(np.float32) / 255
+    broken[3, 3] = np.nan
+    for pair in ((broken, GREY), (GREY, broken)):
+        with pytest.raises(InputError, match="FLIP needs"):
+            flip.mean_flip(*pair)
+
+
 def test_missing_library_is_one_line(tmp_path):
     found = flip.mean_flip(GREY, GREY, stand_in(tmp_path, "raise ImportError"))
     assert "left out" in found and "pip install flip-evaluator" in found

@@ -8,7 +8,7 @@ import pytest
 
 from rtgi_addon.compare import bench, report
 from rtgi_addon.compare.halves import PARTS, PASSES, Reference
-from rtgi_addon.compare.measure import errors_of, noise_of, part_of
+from rtgi_addon.compare.measure import errors_of, floors_of, noise_of, part_of, picture_errors
 from rtgi_addon.errors import InputError
 from rtgi_addon.passes.base import Transport
 from rtgi_addon.pipeline import Result
@@ -73,6 +73,19 @@ def test_relative_error_forgets_noise_and_keeps_a_wrong_region(rng):
     assert report.relative_error(noisy, reference).mean() < 0.05
     assert report.relative_error(wrong, reference)[:, 30].min() == pytest.approx(0.3)
     assert report.relative_error(wrong, reference)[:, :17].max() < 1e-12
+
+
+def test_error_map_sees_two_percent_and_a_pixel_and_refuses_a_nan(rng):
+    reference = rng.random((40, 60, 3)) + 0.2
+    gain, shift = 1.02 * reference, np.roll(reference, 1, 1)
+    assert report.relative_error(gain, reference).min() > 0.0199
+    # windows of noise that differ by a row of pixels
+    assert report.relative_error(shift, reference).mean() > 0.01
+    for pair in ((gain, reference), (reference, gain)):
+        pair[0][7, 3, 1] = np.nan
+        with pytest.raises(InputError, match="not finite"):
+            report.error_map(*pair)
+        pair[0][7, 3, 1] = 0.5
 
 
 def test_relative_error_of_two_black_pictures_is_zero():
@@ -160,8 +173,7 @@ def reference(rng):
     return Reference(*halves, 16)
 
 
-@pytest.fixture
-def perfect(reference):
+def result_of(reference):
     """RTGI's result that equals the reference's mean in every part."""
     light = {Transport.DIRECT_DIFFUSE: reference.mean("direct diffuse") / reference.albedo * np.pi,
              Transport.DIRECT_GLOSSY: reference.mean("direct glossy"),
@@ -170,6 +182,11 @@ def perfect(reference):
     combined = np.ones((*SHAPE, 4), np.float32)
     combined[..., :3] = reference.mean("picture")
     return Result(combined, {name: values.astype(np.float32) for name, values in light.items()}, np.ones(SHAPE, np.float32))
+
+
+@pytest.fixture
+def perfect(reference):
+    return result_of(reference)
 
 
 def test_result_equal_to_the_reference_has_no_error_in_any_part(perfect, reference):
@@ -213,6 +230,66 @@ def test_light_in_a_part_that_the_reference_lacks_shows_in_the_picture(perfect, 
     errors = errors_of(perfect, reference)
     assert "block" not in errors["glossy bounce"] and errors["glossy bounce"]["of_picture"] > 0.1
     assert "glossy bounce" not in noise_of(reference)
+
+
+# how far from perfect each number of `errors_of` has to be for a gain of 2 % and a shift of a pixel, as "larger is worse";
+# best_scale and energy see no shift, block_after_scale forgives a gain
+FAR = {"block": (0.019, 0.01), "nrmse": (0.015, 0.1), "relmse": (1e-4, 0.01), "block_95": (0.019, 0.02),
+       "energy": (0.019, None), "luminance_bias": (0.019, None), "best_scale": (0.019, None),
+       "block_after_scale": (None, 0.01), "within_1_percent": (0.9, 0.5)}
+PERFECT = {"energy": 1.0, "best_scale": 1.0, "within_1_percent": 1.0}
+
+
+def changed(result, change):
+    """The result with all its pictures changed."""
+    return Result(change(result.combined), {name: change(image) for name, image in result.transports.items()},
+                  result.visibility)
+
+
+@pytest.mark.parametrize(("change", "number"), [(lambda image: image * np.float32(1.02), 0),
+                                                (lambda image: np.roll(image, 1, 1), 1)], ids=["gain", "shift"])
+def test_two_percent_and_a_pixel_are_seen_in_the_picture_and_in_every_part(reference, change, number):
+    quiet = Reference(reference.half_a, reference.half_a, 16)
+    before, errors = (errors_of(result, quiet) for result in (result_of(quiet), changed(result_of(quiet), change)))
+    assert set(errors) == {"picture", *PARTS} and set(errors["picture"]) == set(FAR)
+    for part in errors:
+        for name, bounds in FAR.items():
+            if bounds[number] is not None:
+                off, was = (abs(found[part][name] - PERFECT.get(name, 0)) for found in (errors, before))
+                assert off > bounds[number] and off > 2 * was, (part, name, off, was)
+    assert min(errors[part]["of_picture"] for part in PARTS) > 0.001
+
+
+@pytest.mark.parametrize("values", [picture_errors, noise_of, floors_of])
+def test_one_nan_in_a_half_of_the_reference_is_an_error(perfect, reference, values):
+    reference.half_b["Combined"][9, 3, 1] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        values(*((perfect.combined,) if values is picture_errors else ()), reference)
+
+
+@pytest.mark.parametrize("name", ["Diffuse Direct", "Glossy Indirect"])
+def test_one_nan_in_a_part_of_the_reference_is_an_error(perfect, reference, name):
+    reference.half_a[name][9, 3, 1] = np.nan
+    for values in (lambda: errors_of(perfect, reference), lambda: noise_of(reference)):
+        with pytest.raises(InputError, match="not finite"):
+            values()
+
+
+def test_one_nan_in_a_picture_is_an_error(perfect, reference):
+    perfect.combined[9, 3, 1] = np.nan
+    with pytest.raises(InputError, match="1 pixels that are not finite, the first at column 3, row 9"):
+        picture_errors(perfect.combined, reference)
+
+
+@pytest.mark.parametrize("values", [noise_of, floors_of])
+def test_two_percent_and_a_pixel_between_the_halves_are_seen(reference, values):
+    quiet = Reference(reference.half_a, reference.half_a, 16)
+    for change in (lambda image: image * np.float32(1.02), lambda image: np.roll(image, 1, 1)):
+        # the depth says which pixels count, and stays
+        other = Reference(reference.half_a, {name: image if name == "Depth" else change(image)
+                                             for name, image in reference.half_a.items()}, 16)
+        before, after = values(quiet), values(other)
+        assert max(before.values()) < 1e-12 and min(after.values()) > 5e-5, after
 
 
 def test_nan_in_a_transport_is_an_error(perfect, reference):
