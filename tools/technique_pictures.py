@@ -19,7 +19,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-BRIGHT = 0.6                # radiance that the brightest twentieth of the reference is shown with
+BRIGHT = 0.4                # radiance that the brightest twentieth of the reference is shown with
 MOST_BYTES = 120e3          # of one picture
 
 

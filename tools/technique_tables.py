@@ -33,6 +33,8 @@ from rtgi_addon.core.techniques import LABELS, TECHNIQUE_PARAMS, default_setting
 from tools.parameter_tables import between_marks  # noqa: E402
 
 MOST_SHOWN = 10.0           # errors above this say no more than that the light is wrong
+FACTS = {"voxels": "{:.0f}", "lost_flux_share": "{:.2%}"}        # diagnostics that pages show, and how
+FACT_WORDS = {"voxels": "voxels with surface", "lost_flux_share": "flux outside the grid"}
 RUNS = 3                    # of each way; the least time counts, since whatever else the machine does only adds
 STRAIGHT = ("direct", "world", "emission")
 AS_IT_IS, SKY, PANELS = "as it is", "even sky", "panels for lamps"
@@ -76,6 +78,7 @@ WAYS = (
     Way("vxgi", "Voxels, rays", "bounce"),
     Way("vxgi", "rays, matt voxels only", "bounce", {"glossy_voxels": False}, detail=True),
     Way("vxgi", "rays, 8 at every second pixel", "bounce", {"cones": 8, "lattice_px": 2}, detail=True),
+    Way("vxgi", "cones as published, bodies filled (`solid`)", "bounce", {"exact_voxels": 0, "solid": True}, detail=True),
     Way("vxgi", "Quality", "bounce", {"resolution": 256, "lattice_px": 2, "cones": 64}, detail=True),
     Way("vxgi", "one cone for glossy pixels (`glossy`)", "glossy bounce", {"glossy": True}, detail=True),
     Way("lpv", "Light propagation volumes, as published", "bounce", {"mode": "PAPER"}),
@@ -83,6 +86,7 @@ WAYS = (
     Way("lpv", "Light propagation volumes, directions", "bounce"),
     Way("lpv", "directions, no blockers", "bounce", {"blockers": False}, detail=True),
     Way("lpv", "directions, matt texels only", "bounce", {"glossy_texels": False}, detail=True),
+    Way("lpv", "directions, one grid (`cascades` 1)", "bounce", {"cascades": 1}, detail=True),
     Way("lpv", "directions, Draft", "bounce", {"resolution": 24, "directions": 4, "lattice_px": 8}, detail=True),
     Way("lpv", "directions, Quality", "bounce", {"resolution": 48, "directions": 6, "lattice_px": 3}, detail=True),
     Way("ssdo", "Directional occlusion, as published", "bounce", {"form": "SAMPLES"}, _NO_WORLD),
@@ -144,8 +148,18 @@ def run_way(frame: Any, way: Way) -> Any:
     return pipeline.run(frame, Plan(tuple(name for name in TECHNIQUES if name in wanted)), settings)
 
 
+def _light_errors(got: np.ndarray, wanted: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    from rtgi_addon.compare import metrics
+
+    return {"light": metrics.block_relative_l1(got, wanted, mask), "energy": metrics.energy_ratio(got, wanted, mask),
+            "scaled": metrics.after_best_scale(got, wanted, mask)[1]}
+
+
 def measure_way(frame: Any, way: Way, truth: Any) -> dict[str, float] | None:
-    """{light: error, energy, picture: error, ms}; None where the scene has none of the light that the way supplies."""
+    """{light: error, energy, scaled, picture: error, ms}; None where the scene has none of the light that the way supplies.
+
+    `scaled` is the error that the best scale leaves.
+    """
     from rtgi_addon.compare import metrics
     from rtgi_addon.compare.measure import BLACK, part_of
 
@@ -155,7 +169,8 @@ def measure_way(frame: Any, way: Way, truth: Any) -> dict[str, float] | None:
     results = [run_way(frame, way) for _ in range(1 if way.detail else RUNS)]
     times = [sum(s["ms"] for s in r.report["stages"] if s["name"] == way.technique) for r in results]
     got = part_of(results[0].transports, way.part, truth.albedo)
-    return {"light": metrics.block_relative_l1(got, wanted, mask), "energy": metrics.energy_ratio(got, wanted, mask),
+    facts = {k: v for k, v in results[0].report["diagnostics"][way.technique].items() if k in FACTS}
+    return {**_light_errors(got, wanted, mask), **facts,
             "picture": metrics.block_relative_l1(results[0].combined[..., :3], whole, mask), "ms": min(times)}
 
 
@@ -195,9 +210,7 @@ def measure_scene(path: Path, size: tuple[int, int], samples: int, cache: Path, 
                 record["ways"][way.key] = found
                 say(f"{path.stem}: {way.key}: {100 * found['light']:.1f} %, {found['ms']:.0f} ms")
     wanted, mask = sky_truth.mean("direct diffuse"), sky_truth.mask
-    open_light = np.ones_like(wanted) * sky_truth.albedo
-    record["unshadowed"] = {"light": metrics.block_relative_l1(open_light, wanted, mask),
-                            "energy": metrics.energy_ratio(open_light, wanted, mask)}
+    record["unshadowed"] = _light_errors(sky_truth.albedo.astype(np.float64), wanted, mask)
     return record
 
 
@@ -222,13 +235,17 @@ Cycles. 100 % is what nothing at all would have; more is worse than nothing.
 """
 _SKY = """The scenes without their lamps, under a sky of radiance 1 from all sides: error of the sky's light on surfaces
 (after one bounce in the rows of final gathering and "bounce of the sky", in highlights for reflections), in brackets its sum
-over that of Cycles, and time. Even light with nothing in its way is what one has without any technique. Most of these are
-closed rooms, which the sky reaches through a window or a door only: what knows no more of a room than the picture or a radius
-shows takes its walls for open.
+over that of Cycles, and time. Even light with nothing in its way is what one has without any technique. In a closed room
+the sky comes through a window or a door only, and what knows no more of the room than the picture or a radius shows takes
+its walls for open.
 
 """
 
 
+_SCALED = """Ambient occlusion was made for even light of no certain strength. The same light when each row may have the one
+scale that suits it best: what is left is wrong in its places.
+
+"""
 _PANELS = """Scenes that have square lamps, with emissive panels of the same power in their place and no other lamp: error of
 the panels' light on surfaces, or of its bounce.
 
@@ -260,12 +277,18 @@ def _ms(value: float) -> str:
     return f"{value:.0f} ms" if value >= 10 else f"{value:.1f} ms"
 
 
+def _scaled(found: dict[str, float]) -> str:
+    return _error(found["scaled"])
+
+
 def _cell(record: dict[str, Any], way: Way, what: str) -> str:
     found = record["ways"].get(way.key)
     if found is None:
         return "-"
     if what == "picture":
         return f"{_error(found['picture'])}, {_ms(found['ms'])}"
+    if what == "scaled":
+        return _scaled(found)
     return _light(found) if what == "light" else f"{_light(found)}, {_ms(found['ms'])}"
 
 
@@ -304,6 +327,8 @@ def page(records: Sequence[dict[str, Any]]) -> str:
                          [("noise, sky's light", _noise(group, SKY, "direct diffuse")),
                           ("noise, bounce", _noise(group, SKY, "bounce")),
                           ("noise, highlights", _noise(group, SKY, "direct glossy"))]), "\n"]
+        ambient = [w for w in WAYS if w.light == SKY and w.part == "direct diffuse" and not w.detail]
+        parts += [_SCALED, _table(group, ambient, "scaled", [(UNSHADOWED, [_scaled(r["unshadowed"]) for r in group])]), "\n"]
         panels = [r for r in group if PANELS in r["noise"]]
         if panels:
             parts += [f"## {size[0]}x{size[1]}: emissive panels\n\n", _PANELS,
@@ -333,6 +358,10 @@ def tables_of(name: str, records: Sequence[dict[str, Any]]) -> str:
                   + _table(group, rows, "picture"),
                   f"Error of the {what}, in brackets its sum over that of Cycles, and time:\n\n"
                   + _table(group, mine[AS_IT_IS], "light, ms", last=[("noise", _noise(group, AS_IT_IS, part))])]
+    facts = [(word, [FACTS[key].format(r["ways"][w.key][key]) if key in r["ways"].get(w.key, {}) else "-" for r in group])
+             for w in main for key, word in FACT_WORDS.items() if any(key in r["ways"].get(w.key, {}) for r in group)]
+    if facts:
+        parts.append(markdown_table(["", *(r["scene"] for r in group)], [[word, *cells] for word, cells in dict(facts).items()]))
     if mine[SKY]:
         part = mine[SKY][0].part
         extra = [_unshadowed(group)] if part == "direct diffuse" else []
@@ -340,6 +369,10 @@ def tables_of(name: str, records: Sequence[dict[str, Any]]) -> str:
                      + {"bounce": " after one bounce", "direct glossy": " in reflections"}.get(part, "")
                      + ", energy, time:\n\n"
                      + _table(group, mine[SKY], "light, ms", extra, [("noise", _noise(group, SKY, part))]))
+        if name in ("ssao", "hbao", "ssdo"):
+            ambient = [w for w in mine[SKY] if w.part == "direct diffuse"]
+            parts.append("The same when each row may have the one scale that suits it best, error:\n\n" + _table(
+                group, ambient, "scaled", [(UNSHADOWED, [_scaled(r["unshadowed"]) for r in group])]))
     panels = [r for r in group if PANELS in r["noise"]]
     if mine[PANELS] and panels:
         part = mine[PANELS][0].part
