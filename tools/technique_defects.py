@@ -158,8 +158,8 @@ def false_shadow_table(bench: Bench) -> str:
         for way in _AMBIENT:
             taken = np.maximum(rays - run_way(frame, way).visibility, 0)
             rows[way.label].append(f"{100 * taken[mask].sum() / rays[mask].sum():.1f} %")
-    return (f"False shadows: light of an even sky that is taken from pixels where rays of any length find it, over all that rays "
-            f"bring ({COMMAND}):\n\n" + markdown_table(["", *names], list(rows.values())))
+    return ("False shadows: light of an even sky that is taken from pixels where rays of any length find it, over all that "
+            f"rays bring ({COMMAND}):\n\n" + markdown_table(["", *names], list(rows.values())))
 
 
 def gloss_table(bench: Bench) -> str:

@@ -32,6 +32,7 @@ from rtgi_addon.compare.report import percent  # noqa: E402
 from rtgi_addon.core.techniques import LABELS, TECHNIQUE_PARAMS, default_settings  # noqa: E402
 from tools.parameter_tables import between_marks  # noqa: E402
 
+WHOLE_SCENE = -1.0          # stands for a radius of the scene's size
 MOST_SHOWN = 10.0           # errors above this say no more than that the light is wrong
 FACTS = {"voxels": "{:.0f}", "lost_flux_share": "{:.2%}"}        # diagnostics that pages show, and how
 FACT_WORDS = {"voxels": "voxels with surface", "lost_flux_share": "flux outside the grid"}
@@ -95,7 +96,7 @@ WAYS = (
         (*_NO_WORLD, "rsm")),
     Way("ssdo", "sectors, 4 slices of 16 steps at every pixel", "bounce", {"slices": 4, "steps": 16, "lattice_px": 1},
         _NO_WORLD, detail=True),
-    Way("ssdo", "sectors, radius of the whole scene", "bounce", {"radius_m": -1.0}, _NO_WORLD, detail=True),
+    Way("ssdo", "sectors, radius of the whole scene", "bounce", {"radius_m": WHOLE_SCENE}, _NO_WORLD, detail=True),
     Way("ssr", "Reflections, even steps in the picture", "glossy bounce", {"method": "LINEAR", "fallback": "WORLD"}),
     Way("ssr", "Reflections, hierarchy in the picture", "glossy bounce", {"method": "HIERARCHY", "fallback": "WORLD"}),
     Way("ssr", "Reflections, hierarchy and rays beyond", "glossy bounce", {"method": "HIERARCHY"}),
@@ -118,9 +119,10 @@ WAYS = (
     Way("ssao", "hemisphere, overscan 0.15", "direct diffuse", {"overscan": 0.15}, ("direct",), SKY, detail=True),
     Way("hbao", "Ambient occlusion, horizons as published", "direct diffuse", {"method": "PUBLISHED"}, ("direct",), SKY),
     Way("hbao", "Ambient occlusion, horizons by cosine", "direct diffuse", beside=("direct",), light=SKY),
-    Way("hbao", "by cosine, radius of the whole scene", "direct diffuse", {"radius_m": -1.0}, ("direct",), SKY, detail=True),
-    Way("hbao", "by cosine, radius of the whole scene, overscan 0.3", "direct diffuse", {"radius_m": -1.0, "overscan": 0.3},
-        ("direct",), SKY, detail=True),
+    Way("hbao", "by cosine, radius of the whole scene", "direct diffuse", {"radius_m": WHOLE_SCENE}, ("direct",), SKY,
+        detail=True),
+    Way("hbao", "by cosine, radius of the whole scene, overscan 0.3", "direct diffuse",
+        {"radius_m": WHOLE_SCENE, "overscan": 0.3}, ("direct",), SKY, detail=True),
     Way("ssdo", "Directional occlusion, as published", "direct diffuse", {"form": "SAMPLES"}, ("direct",), SKY),
     Way("ssdo", "Directional occlusion, sectors", "direct diffuse", beside=("direct",), light=SKY),
     Way("vxgi", "Voxels, rays (`world_light`)", "direct diffuse", {"world_light": True}, ("direct",), SKY),
@@ -137,12 +139,12 @@ UNSHADOWED = "Even light, nothing in its way"
 # ---- measuring ----
 
 def run_way(frame: Any, way: Way) -> Any:
-    """`pipeline.Result` of one way on a captured frame; a radius of -1 stands for the scene's size."""
+    """`pipeline.Result` of one way on a captured frame."""
     from rtgi_addon import pipeline
     from rtgi_addon.passes import TECHNIQUES
     from rtgi_addon.planner import Plan
 
-    params = {**way.params, **({"radius_m": frame.scale_m} if way.params.get("radius_m") == -1.0 else {})}
+    params = {**way.params, **({"radius_m": frame.scale_m} if way.params.get("radius_m") == WHOLE_SCENE else {})}
     settings = default_settings().with_params(way.technique, **params)
     wanted = {*way.beside, way.technique}
     return pipeline.run(frame, Plan(tuple(name for name in TECHNIQUES if name in wanted)), settings)
@@ -361,7 +363,8 @@ def tables_of(name: str, records: Sequence[dict[str, Any]]) -> str:
     facts = [(word, [FACTS[key].format(r["ways"][w.key][key]) if key in r["ways"].get(w.key, {}) else "-" for r in group])
              for w in main for key, word in FACT_WORDS.items() if any(key in r["ways"].get(w.key, {}) for r in group)]
     if facts:
-        parts.append(markdown_table(["", *(r["scene"] for r in group)], [[word, *cells] for word, cells in dict(facts).items()]))
+        rows = [[word, *cells] for word, cells in dict(facts).items()]
+        parts.append(markdown_table(["", *(r["scene"] for r in group)], rows))
     if mine[SKY]:
         part = mine[SKY][0].part
         extra = [_unshadowed(group)] if part == "direct diffuse" else []
