@@ -74,31 +74,30 @@ def panel_lamps(scene: Any) -> list[Any]:
 
 @contextlib.contextmanager
 def with_panels(scene: Any) -> Iterator[None]:
-    """Emissive panels of the same power in place of `panel_lamps`, and no other lamps, for the time of the context.
+    """Emissive panels in place of `panel_lamps`, and no other lamps, for the time of the context.
 
-    A panel shines to one side, as a lamp does: a black one hides its other side.
+    A panel has the lamp's radiance, and has it on both of its sides.
     """
     made: list[Any] = []
     for lamp in panel_lamps(scene):
         x, y = lamp.data.size, lamp.data.size_y if lamp.data.shape == "RECTANGLE" else lamp.data.size
         corners = [(sx * x / 2, sy * y / 2, 0.0) for sx, sy in ((-1, -1), (-1, 1), (1, 1), (1, -1))]
         scale = lamp.matrix_world.to_scale()
-        for shift, radiance in ((0.0, lamp.data.energy / (math.pi * x * y * scale.x * scale.y)), (1e-3, 0.0)):
-            mesh = bpy.data.meshes.new("panel")
-            mesh.from_pydata([(cx, cy, shift) for cx, cy, _ in corners], [], [(0, 1, 2, 3)])
-            material = bpy.data.materials.new("panel")
-            material.use_nodes = True
-            tree = material.node_tree
-            tree.nodes.clear()
-            shader = tree.nodes.new("ShaderNodeEmission")
-            shader.inputs["Color"].default_value = (*lamp.data.color, 1)
-            shader.inputs["Strength"].default_value = radiance
-            tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
-            mesh.materials.append(material)
-            panel = bpy.data.objects.new("panel", mesh)
-            panel.matrix_world = lamp.matrix_world
-            scene.collection.objects.link(panel)
-            made.append(panel)
+        mesh = bpy.data.meshes.new("panel")
+        mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
+        material = bpy.data.materials.new("panel")
+        material.use_nodes = True
+        tree = material.node_tree
+        tree.nodes.clear()
+        shader = tree.nodes.new("ShaderNodeEmission")
+        shader.inputs["Color"].default_value = (*lamp.data.color, 1)
+        shader.inputs["Strength"].default_value = lamp.data.energy / (math.pi * x * y * scale.x * scale.y)
+        tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+        mesh.materials.append(material)
+        panel = bpy.data.objects.new("panel", mesh)
+        panel.matrix_world = lamp.matrix_world
+        scene.collection.objects.link(panel)
+        made.append(panel)
     try:
         with _without_lamps(scene):
             bpy.context.view_layer.update()
@@ -112,9 +111,9 @@ def with_panels(scene: Any) -> Iterator[None]:
 
 
 def lit_by(scene: Any, light: str) -> contextlib.AbstractContextManager[None]:
-    """For the time of the context the scene under "even_sky" or "own_sky" without lamps, with "panels", or "" as it is."""
+    """For the time of the context under "even_sky" or "own_sky" without lamps, with "shining_panels", or "" as it is."""
     return {"": lambda _: contextlib.nullcontext(), "own_sky": _without_lamps, "even_sky": under_even_sky,
-            "panels": with_panels}[light](scene)
+            "shining_panels": with_panels}[light](scene)
 
 
 def reference_under(scene: Any, path: Path, light: str, size: tuple[int, int], samples: int, cache: Path) -> Reference:

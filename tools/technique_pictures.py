@@ -49,7 +49,8 @@ _NO_WORLD = ("direct", "emission")
 PICTURES = {
     "direct": Picture("many_lights", "direct", (Row("Direct light", "direct", beside=("world",)),)),
     "world": Picture("courtyard", "direct diffuse", (Row("World light", "world", beside=()),), "own_sky"),
-    "emission": Picture("cornell_box", "direct diffuse", (Row("Emissive surfaces", "emission", beside=()),), "panels"),
+    "emission": Picture("cornell_box", "direct diffuse", (Row("Emissive surfaces", "emission", beside=()),),
+                        "shining_panels"),
     "rsm": Picture("flashlight", "bounce", (
         Row("As published", "rsm", {"method": "PAPER"}), Row("With visibility", "rsm"))),
     "vxgi": Picture("thin_wall_maze", "bounce", (

@@ -34,8 +34,8 @@ from tools.parameter_tables import between_marks  # noqa: E402
 
 WHOLE_SCENE = -1.0          # stands for a radius of the scene's size
 MOST_SHOWN = 10.0           # errors above this say no more than that the light is wrong
-FACTS = {"voxels": "{:.0f}", "lost_flux_share": "{:.2%}"}        # diagnostics that pages show, and how
-FACT_WORDS = {"voxels": "voxels with surface", "lost_flux_share": "flux outside the grid"}
+# diagnostics that pages show: words, and how a value is written
+FACTS = {"voxels": ("voxels with surface", "{:,.0f}".format), "lost_flux_share": ("flux outside the grid", percent)}
 RUNS = 3                    # of each way; the least time counts, since whatever else the machine does only adds
 STRAIGHT = ("direct", "world", "emission")
 AS_IT_IS, SKY, PANELS = "as it is", "even sky", "panels for lamps"
@@ -45,8 +45,8 @@ AS_IT_IS, SKY, PANELS = "as it is", "even sky", "panels for lamps"
 class Way:
     """One row: a technique with some parameters, run after others.
 
-    `part` of the reference is what it is held against; `beside` runs before it, `after` after it. A `detail` stands on the
-    technique's page only, and runs once.
+    `part` of the reference is what it is held against; `beside` runs too. A `detail` stands on the technique's page only,
+    and runs once. One that `needs_world` is left out of scenes with a black world.
     """
 
     technique: str
@@ -56,6 +56,7 @@ class Way:
     beside: tuple[str, ...] = STRAIGHT
     light: str = AS_IT_IS
     detail: bool = False
+    needs_world: bool = False
 
     @property
     def key(self) -> str:
@@ -65,7 +66,7 @@ class Way:
 _SHADOW_MAPS = "Reflective shadow maps"
 _NO_WORLD = ("direct", "emission")
 WAYS = (
-    Way("direct", "Direct light alone", "direct", beside=()),
+    Way("direct", "Direct light alone", "direct"),
     Way("rsm", f"{_SHADOW_MAPS}, as published", "bounce", {"method": "PAPER"}),
     Way("rsm", f"{_SHADOW_MAPS}, all texels", "bounce", {"method": "ALL"}),
     Way("rsm", f"{_SHADOW_MAPS}, with visibility", "bounce"),
@@ -97,6 +98,8 @@ WAYS = (
     Way("ssdo", "sectors, 4 slices of 16 steps at every pixel", "bounce", {"slices": 4, "steps": 16, "lattice_px": 1},
         _NO_WORLD, detail=True),
     Way("ssdo", "sectors, radius of the whole scene", "bounce", {"radius_m": WHOLE_SCENE}, _NO_WORLD, detail=True),
+    Way("final_gather", "Shadow maps with visibility, and final gathering of the world's light", "bounce",
+        beside=(*STRAIGHT, "rsm"), needs_world=True),
     Way("ssr", "Reflections, even steps in the picture", "glossy bounce", {"method": "LINEAR", "fallback": "WORLD"}),
     Way("ssr", "Reflections, hierarchy in the picture", "glossy bounce", {"method": "HIERARCHY", "fallback": "WORLD"}),
     Way("ssr", "Reflections, hierarchy and rays beyond", "glossy bounce", {"method": "HIERARCHY"}),
@@ -166,7 +169,7 @@ def measure_way(frame: Any, way: Way, truth: Any) -> dict[str, float] | None:
     from rtgi_addon.compare.measure import BLACK, part_of
 
     wanted, whole, mask = truth.mean(way.part), truth.mean("picture"), truth.mask
-    if not wanted[mask].sum() > BLACK * whole[mask].sum():
+    if not wanted[mask].sum() > BLACK * whole[mask].sum() or (way.needs_world and frame.world.is_black):
         return None
     results = [run_way(frame, way) for _ in range(1 if way.detail else RUNS)]
     times = [sum(s["ms"] for s in r.report["stages"] if s["name"] == way.technique) for r in results]
@@ -203,7 +206,7 @@ def measure_scene(path: Path, size: tuple[int, int], samples: int, cache: Path, 
         lit = {AS_IT_IS: (frame, truth), SKY: (sky_frame, sky_truth)}
         if panel_lamps(scene):
             with with_panels(scene):
-                panel_truth = reference_under(scene, path, "panels", size, samples, cache)
+                panel_truth = reference_under(scene, path, "shining_panels", size, samples, cache)
                 lit[PANELS] = captured(scene, size)[0], panel_truth
             record["noise"][PANELS], record["samples"][PANELS] = noise_of(panel_truth), panel_truth.samples
         for way in WAYS:
@@ -212,7 +215,8 @@ def measure_scene(path: Path, size: tuple[int, int], samples: int, cache: Path, 
                 record["ways"][way.key] = found
                 say(f"{path.stem}: {way.key}: {100 * found['light']:.1f} %, {found['ms']:.0f} ms")
     wanted, mask = sky_truth.mean("direct diffuse"), sky_truth.mask
-    record["unshadowed"] = _light_errors(sky_truth.albedo.astype(np.float64), wanted, mask)
+    if wanted[mask].sum() > 0:
+        record["unshadowed"] = _light_errors(sky_truth.albedo.astype(np.float64), wanted, mask)
     return record
 
 
@@ -227,12 +231,14 @@ stage, the least of {runs} runs, capture and BVH aside. "noise" is the error tha
 render. "-": the scene has none of that light.
 
 """
-_PICTURE = """Error of the whole picture with direct light and this technique alone, and the time of the technique. What it
-does not supply is missing in its picture: reflections alone leave the diffuse bounce out, and the other way round.
+_PICTURE = """Error of the whole picture with direct light (of lamps, world and emissive surfaces) and this technique
+alone, and the time of the technique. What it does not supply is missing in its picture: reflections alone leave the diffuse
+bounce out, and the other way round.
 
 """
 _LIGHT = """Error of the light that the technique is there for (bounce, or glossy bounce), in brackets its sum over that of
-Cycles. 100 % is what nothing at all would have; more is worse than nothing.
+Cycles. 100 % is what nothing at all would have; more is worse than nothing. Where a world shines, the bounce holds that of
+the world's light too, which only final gathering and directional occlusion supply.
 
 """
 _SKY = """The scenes without their lamps, under a sky of radiance 1 from all sides: error of the sky's light on surfaces
@@ -248,7 +254,7 @@ _SCALED = """Ambient occlusion was made for even light of no certain strength. T
 scale that suits it best: what is left is wrong in its places.
 
 """
-_PANELS = """Scenes that have square lamps, with emissive panels of the same power in their place and no other lamp: error of
+_PANELS = """Scenes that have square lamps, with emissive panels in their place and no other lamp: error of
 the panels' light on surfaces, or of its bounce.
 
 """
@@ -308,7 +314,11 @@ def _noise(records: Sequence[dict[str, Any]], light: str, part: str) -> list[str
 
 
 def _unshadowed(records: Sequence[dict[str, Any]]) -> tuple[str, list[str]]:
-    return UNSHADOWED, [_light(r["unshadowed"]) for r in records]
+    return UNSHADOWED, [_light(r["unshadowed"]) if "unshadowed" in r else "-" for r in records]
+
+
+def _unshadowed_scaled(records: Sequence[dict[str, Any]]) -> tuple[str, list[str]]:
+    return UNSHADOWED, [_scaled(r["unshadowed"]) if "unshadowed" in r else "-" for r in records]
 
 
 def page(records: Sequence[dict[str, Any]]) -> str:
@@ -330,7 +340,7 @@ def page(records: Sequence[dict[str, Any]]) -> str:
                           ("noise, bounce", _noise(group, SKY, "bounce")),
                           ("noise, highlights", _noise(group, SKY, "direct glossy"))]), "\n"]
         ambient = [w for w in WAYS if w.light == SKY and w.part == "direct diffuse" and not w.detail]
-        parts += [_SCALED, _table(group, ambient, "scaled", [(UNSHADOWED, [_scaled(r["unshadowed"]) for r in group])]), "\n"]
+        parts += [_SCALED, _table(group, ambient, "scaled", [_unshadowed_scaled(group)]), "\n"]
         panels = [r for r in group if PANELS in r["noise"]]
         if panels:
             parts += [f"## {size[0]}x{size[1]}: emissive panels\n\n", _PANELS,
@@ -348,7 +358,7 @@ def tables_of(name: str, records: Sequence[dict[str, Any]]) -> str:
         return "No scene that was measured has this light.\n"
     size, group = groups[0]
     parts = [f"At {size[0]}x{size[1]} by `python -m tools.technique_tables`; [techniques.md](../techniques.md) says what is "
-             "measured, and has all techniques side by side.\n"]
+             "measured, and has all techniques side by side. Rows that stand here only ran once.\n"]
     direct = next(w for w in WAYS if w.technique == "direct")
     mine = {light: [w for w in ways if w.light == light] for light in (AS_IT_IS, SKY, PANELS)}
     main = [w for w in mine[AS_IT_IS] if not w.detail]
@@ -360,8 +370,8 @@ def tables_of(name: str, records: Sequence[dict[str, Any]]) -> str:
                   + _table(group, rows, "picture"),
                   f"Error of the {what}, in brackets its sum over that of Cycles, and time:\n\n"
                   + _table(group, mine[AS_IT_IS], "light, ms", last=[("noise", _noise(group, AS_IT_IS, part))])]
-    facts = [(word, [FACTS[key].format(r["ways"][w.key][key]) if key in r["ways"].get(w.key, {}) else "-" for r in group])
-             for w in main for key, word in FACT_WORDS.items() if any(key in r["ways"].get(w.key, {}) for r in group)]
+    facts = [(word, [written(r["ways"][w.key][key]) if key in r["ways"].get(w.key, {}) else "-" for r in group])
+             for w in main for key, (word, written) in FACTS.items() if any(key in r["ways"].get(w.key, {}) for r in group)]
     if facts:
         rows = [[word, *cells] for word, cells in dict(facts).items()]
         parts.append(markdown_table(["", *(r["scene"] for r in group)], rows))
@@ -375,7 +385,7 @@ def tables_of(name: str, records: Sequence[dict[str, Any]]) -> str:
         if name in ("ssao", "hbao", "ssdo"):
             ambient = [w for w in mine[SKY] if w.part == "direct diffuse"]
             parts.append("The same when each row may have the one scale that suits it best, error:\n\n" + _table(
-                group, ambient, "scaled", [(UNSHADOWED, [_scaled(r["unshadowed"]) for r in group])]))
+                group, ambient, "scaled", [_unshadowed_scaled(group)]))
     panels = [r for r in group if PANELS in r["noise"]]
     if mine[PANELS] and panels:
         part = mine[PANELS][0].part
