@@ -84,7 +84,7 @@ def draw(picture: Picture, path: Path, cache: Path) -> np.ndarray:
         truth = reference_under(scene, path, picture.light or "own_light", picture.size, picture.samples, cache)
         frame, _ = captured(scene, picture.size)
         wanted, mask = truth.mean(picture.part), truth.mask
-        exposure = BRIGHT / np.quantile(metrics.luminance_of(wanted)[mask], 0.95)
+        exposure = BRIGHT / np.quantile(metrics.luminance_of(wanted)[mask], 0.95) / 2**scene.view_settings.exposure
         panels = []
         for row in picture.rows:
             result = run_way(frame, Way(row.technique, row.title, picture.part, row.params, row.beside))
