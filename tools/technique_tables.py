@@ -33,6 +33,7 @@ from rtgi_addon.core.techniques import LABELS, TECHNIQUE_PARAMS, default_setting
 from tools.parameter_tables import between_marks  # noqa: E402
 
 WHOLE_SCENE = -1.0          # stands for a radius of the scene's size
+TOO_NOISY = 0.5             # noise of a reference that nothing can be held against
 MOST_SHOWN = 10.0           # errors above this say no more than that the light is wrong
 # diagnostics that pages show: words, and how a value is written
 FACTS = {"voxels": ("voxels with surface", "{:,.0f}".format), "lost_flux_share": ("flux outside the grid", percent)}
@@ -161,7 +162,7 @@ def _light_errors(got: np.ndarray, wanted: np.ndarray, mask: np.ndarray) -> dict
 
 
 def measure_way(frame: Any, way: Way, truth: Any) -> dict[str, float] | None:
-    """{light: error, energy, scaled, picture: error, ms}; None where the scene has none of the light that the way supplies.
+    """{light: error, energy, scaled, picture: error, ms}; None where the scene has none of the light, or too little to tell.
 
     `scaled` is the error that the best scale leaves.
     """
@@ -170,6 +171,8 @@ def measure_way(frame: Any, way: Way, truth: Any) -> dict[str, float] | None:
 
     wanted, whole, mask = truth.mean(way.part), truth.mean("picture"), truth.mask
     if not wanted[mask].sum() > BLACK * whole[mask].sum() or (way.needs_world and frame.world.is_black):
+        return None
+    if metrics.block_noise(*truth.halves(way.part), mask) > TOO_NOISY:
         return None
     results = [run_way(frame, way) for _ in range(1 if way.detail else RUNS)]
     times = [sum(s["ms"] for s in r.report["stages"] if s["name"] == way.technique) for r in results]
@@ -215,7 +218,7 @@ def measure_scene(path: Path, size: tuple[int, int], samples: int, cache: Path, 
                 record["ways"][way.key] = found
                 say(f"{path.stem}: {way.key}: {100 * found['light']:.1f} %, {found['ms']:.0f} ms")
     wanted, mask = sky_truth.mean("direct diffuse"), sky_truth.mask
-    if wanted[mask].sum() > 0:
+    if wanted[mask].sum() > 0 and metrics.block_noise(*sky_truth.halves("direct diffuse"), mask) <= TOO_NOISY:
         record["unshadowed"] = _light_errors(sky_truth.albedo.astype(np.float64), wanted, mask)
     return record
 
@@ -228,7 +231,7 @@ Every technique on every scene, beside direct light alone. Made by tools/techniq
 technique's page has its own rows, with more ways to set it. All rows of a column run on one captured frame, on {threads}
 threads. Errors are relative L1 of 8x8 blocks against Cycles at one bounce ([how](comparison.md)); ms is the technique's own
 stage, the least of {runs} runs, capture and BVH aside. "noise" is the error that the reference's own noise gives a perfect
-render. "-": the scene has none of that light.
+render. "-": the scene has none of that light, or too little to tell.
 
 """
 _PICTURE = """Error of the whole picture with direct light (of lamps, world and emissive surfaces) and this technique
@@ -300,13 +303,18 @@ def _cell(record: dict[str, Any], way: Way, what: str) -> str:
     return _light(found) if what == "light" else f"{_light(found)}, {_ms(found['ms'])}"
 
 
+def _markdown_of(records: Sequence[dict[str, Any]], rows: Sequence[list[str]]) -> str:
+    """A table with a column for each record's scene."""
+    return markdown_table(["", *(r["scene"] for r in records)], rows)
+
+
 def _table(records: Sequence[dict[str, Any]], ways: Sequence[Way], what: str, extra: Sequence[tuple[str, list[str]]] = (),
            last: Sequence[tuple[str, list[str]]] = ()) -> str:
     """Rows of `ways` that some scene has, between rows that are given as words."""
     shown = [w for w in ways if any(w.key in r["ways"] for r in records)]
     rows = [[w.label, *(_cell(r, w, what) for r in records)] for w in shown]
-    return markdown_table(["", *(r["scene"] for r in records)],
-                          [*([name, *cells] for name, cells in extra), *rows, *([name, *cells] for name, cells in last)])
+    return _markdown_of(records, [*([name, *cells] for name, cells in extra), *rows,
+                                  *([name, *cells] for name, cells in last)])
 
 
 def _noise(records: Sequence[dict[str, Any]], light: str, part: str) -> list[str]:
@@ -351,48 +359,54 @@ def page(records: Sequence[dict[str, Any]]) -> str:
 
 
 def tables_of(name: str, records: Sequence[dict[str, Any]]) -> str:
-    """The tables on a technique's page: of the scenes of the largest size at which it has light to bring."""
-    ways = [w for w in WAYS if w.technique == name]
-    groups = [(s, g) for s, g in _groups(records).items() if any(w.key in r["ways"] for w in ways for r in g)]
-    if not groups:
-        return "No scene that was measured has this light.\n"
-    size, group = groups[0]
-    parts = [f"At {size[0]}x{size[1]} by `python -m tools.technique_tables`; [techniques.md](../techniques.md) says what is "
-             "measured, and has all techniques side by side. Rows that stand here only ran once.\n"]
-    direct = next(w for w in WAYS if w.technique == "direct")
-    mine = {light: [w for w in ways if w.light == light] for light in (AS_IT_IS, SKY, PANELS)}
-    main = [w for w in mine[AS_IT_IS] if not w.detail]
-    if main:
-        rows = main if name == "direct" else [direct, *main]
-        part = main[0].part
+    """The tables on a technique's page, each of the scenes of the largest size at which it has light to bring."""
+    parts = []
+
+    def scenes_of(light: str) -> tuple[list[Way], list[dict[str, Any]], str]:
+        """(ways, records, "At WxH"); no ways where no scene has the light."""
+        ways = [w for w in WAYS if w.technique == name and w.light == light]
+        for size, group in _groups(records).items():
+            group = [r for r in group if light in r["noise"]]
+            if any(w.key in r["ways"] for w in ways for r in group):
+                return ways, group, f"{size[0]}x{size[1]}"
+        return [], [], ""
+
+    ways, group, size = scenes_of(AS_IT_IS)
+    if ways:
+        main, part = [w for w in ways if not w.detail], ways[0].part
+        rows = main if name == "direct" else [next(w for w in WAYS if w.technique == "direct"), *main]
         what = "direct light itself" if name == "direct" else part
-        parts += ["Error of the picture with direct light and this alone, and time of the stage:\n\n"
+        parts += [f"{size}, error of the picture with direct light and this alone, and time of the stage:\n\n"
                   + _table(group, rows, "picture"),
                   f"Error of the {what}, in brackets its sum over that of Cycles, and time:\n\n"
-                  + _table(group, mine[AS_IT_IS], "light, ms", last=[("noise", _noise(group, AS_IT_IS, part))])]
-    facts = [(word, [written(r["ways"][w.key][key]) if key in r["ways"].get(w.key, {}) else "-" for r in group])
-             for w in main for key, (word, written) in FACTS.items() if any(key in r["ways"].get(w.key, {}) for r in group)]
-    if facts:
-        rows = [[word, *cells] for word, cells in dict(facts).items()]
-        parts.append(markdown_table(["", *(r["scene"] for r in group)], rows))
-    if mine[SKY]:
-        part = mine[SKY][0].part
-        extra = [_unshadowed(group)] if part == "direct diffuse" else []
-        parts.append("The scenes without lamps under an even sky, error of the sky's light"
+                  + _table(group, ways, "light, ms", last=[("noise", _noise(group, AS_IT_IS, part))])]
+        known = [(w, *fact) for w in main for fact in FACTS.items() if any(fact[0] in r["ways"].get(w.key, {}) for r in group)]
+        facts = {word: [written(r["ways"][w.key][key]) if key in r["ways"].get(w.key, {}) else "-" for r in group]
+                 for w, key, (word, written) in known}
+        if facts:
+            parts.append(_markdown_of(group, [[word, *cells] for word, cells in facts.items()]))
+    ways, group, size = scenes_of(SKY)
+    if ways:
+        part = ways[0].part
+        parts.append(f"{size}, the scenes without lamps under an even sky, error of the sky's light"
                      + {"bounce": " after one bounce", "direct glossy": " in reflections"}.get(part, "")
                      + ", energy, time:\n\n"
-                     + _table(group, mine[SKY], "light, ms", extra, [("noise", _noise(group, SKY, part))]))
+                     + _table(group, ways, "light, ms", [_unshadowed(group)] if part == "direct diffuse" else [],
+                              [("noise", _noise(group, SKY, part))]))
         if name in ("ssao", "hbao", "ssdo"):
-            ambient = [w for w in mine[SKY] if w.part == "direct diffuse"]
             parts.append("The same when each row may have the one scale that suits it best, error:\n\n" + _table(
-                group, ambient, "scaled", [_unshadowed_scaled(group)]))
-    panels = [r for r in group if PANELS in r["noise"]]
-    if mine[PANELS] and panels:
-        part = mine[PANELS][0].part
-        parts.append("With emissive panels in place of square lamps, error of their light"
+                group, [w for w in ways if w.part == "direct diffuse"], "scaled", [_unshadowed_scaled(group)]))
+    ways, group, size = scenes_of(PANELS)
+    if ways:
+        part = ways[0].part
+        parts.append(f"{size}, emissive panels in place of square lamps, error of their light"
                      + (" after one bounce" if part == "bounce" else "") + ", energy, time:\n\n"
-                     + _table(panels, mine[PANELS], "light, ms", last=[("noise", _noise(panels, PANELS, part))]))
-    return "\n".join(parts)
+                     + _table(group, ways, "light, ms", last=[("noise", _noise(group, PANELS, part))]))
+    if not parts:
+        return "No scene that was measured has this light.\n"
+    head = ("By `python -m tools.technique_tables`; [techniques.md](../techniques.md) says what is measured, and has all "
+            "techniques side by side. Rows that stand here only ran once.\n")
+    return "\n".join([head, *parts])
 
 
 def write_pages(records: Sequence[dict[str, Any]]) -> None:
