@@ -380,9 +380,11 @@ def tables_of(name: str, records: Sequence[dict[str, Any]]) -> str:
                   + _table(group, rows, "picture"),
                   f"Error of the {what}, in brackets its sum over that of Cycles, and time:\n\n"
                   + _table(group, ways, "light, ms", last=[("noise", _noise(group, AS_IT_IS, part))])]
-        known = [(w, *fact) for w in main for fact in FACTS.items() if any(fact[0] in r["ways"].get(w.key, {}) for r in group)]
-        facts = {word: [written(r["ways"][w.key][key]) if key in r["ways"].get(w.key, {}) else "-" for r in group]
-                 for w, key, (word, written) in known}
+        facts = {}
+        for key, (word, written) in FACTS.items():
+            found = [[r["ways"][w.key][key] for w in main if key in r["ways"].get(w.key, {})] for r in group]
+            if any(found):
+                facts[word] = [written(values[0]) if values else "-" for values in found]
         if facts:
             parts.append(_markdown_of(group, [[word, *cells] for word, cells in facts.items()]))
     ways, group, size = scenes_of(SKY)
