@@ -24,7 +24,7 @@ from rtgi_addon.core.frame import Frame
 from rtgi_addon.core.settings import Settings
 from rtgi_addon.core.techniques import default_settings
 
-JPEG_QUALITY = 85
+JPEG_QUALITY = 88
 
 
 def captured(scene: Any, size: tuple[int, int], settings: Settings | None = None) -> tuple[Frame, pipeline.Result]:
