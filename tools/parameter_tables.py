@@ -1,6 +1,7 @@
 """Write the parameter tables of docs/passes/ from the dataclasses: `python tools/parameter_tables.py`.
 
-A page holds a table between `<!-- parameters -->` and `<!-- /parameters -->`; everything between is replaced.
+A page holds a table between `<!-- parameters -->` and `<!-- /parameters -->`; everything between is replaced. Other tools
+fill other marks in the same way, by `between_marks`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,18 @@ sys.path.insert(0, str(ROOT))
 from rtgi_addon.core.params import Params  # noqa: E402
 from rtgi_addon.core.techniques import PRESET_PARAMS, TECHNIQUE_PARAMS  # noqa: E402
 
-BLOCK = re.compile(r"(<!-- parameters -->\n).*?(<!-- /parameters -->)", re.DOTALL)
+
+def block_of(mark: str) -> re.Pattern:
+    """What is between `<!-- mark -->` and `<!-- /mark -->`, with both."""
+    return re.compile(rf"(<!-- {mark} -->\n).*?(<!-- /{mark} -->)", re.DOTALL)
+
+
+def between_marks(page: str, mark: str, text: str) -> str:
+    """`page` with `text` between its marks."""
+    return block_of(mark).sub(lambda match: match[1] + text + match[2], page)
+
+
+BLOCK = block_of("parameters")
 
 
 def _range(field: dataclasses.Field) -> str:
@@ -49,7 +61,7 @@ def table(name: str, params: type[Params]) -> str:
 
 def updated(page: str, name: str) -> str:
     """The text of a technique's page with its table as it should be."""
-    return BLOCK.sub(lambda match: match[1] + table(name, TECHNIQUE_PARAMS[name]) + match[2], page)
+    return between_marks(page, "parameters", table(name, TECHNIQUE_PARAMS[name]))
 
 
 def main() -> int:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtgi_addon import pipeline, register
+from rtgi_addon import register
 from rtgi_addon.compare import metrics
 from rtgi_addon.compare.report import ERROR_SCALE, error_map, side_by_side, write_picture
 from rtgi_addon.core.frame import Frame, World
@@ -24,24 +24,6 @@ from rtgi_addon.passes.ssr import compute_ssr
 
 HEAD = ("scene", "glossy bounce in the picture", "picture without", "picture with", "glossy bounce", "its noise", "energy",
         "in the picture: rays", "world alone", "beyond: rays", "world alone", "beyond")
-
-
-def frame_of(scene, size: tuple[int, int]) -> tuple[Frame, dict[Transport, np.ndarray], np.ndarray]:
-    """The captured frame, the light of direct, world and rsm on it, and their picture."""
-    from rtgi_addon.compare.reference import render_rtgi
-
-    kept = []
-
-    def keep(frame, *args, **kwargs):
-        kept.append(frame)
-        return run(frame, *args, **kwargs)
-
-    run, pipeline.run = pipeline.run, keep
-    try:
-        result, _ = render_rtgi(scene, default_settings(techniques=["rsm"]), size)
-    finally:
-        pipeline.run = run
-    return kept[-1], result.transports, result.combined
 
 
 def mirrors_show(frame: Frame) -> np.ndarray:
@@ -62,14 +44,15 @@ class Scene:
     def __init__(self, path: Path, size: tuple[int, int], samples: int, cache: Path, given: Path | None, seed: int):
         from rtgi_addon.compare.reference import on_threads, open_scene
         from rtgi_addon.compare.run import reference_for
+        from tools.scene_frames import captured
 
         self.path, self.scene = path, open_scene(path)
         with on_threads(self.scene, 2):
             self.reference = reference_for(self.scene, path, size, samples, cache, given)
-            frame, light, picture = frame_of(self.scene, size)
-        self.bare, self.shown, self.light = picture[..., :3], mirrors_show(frame), {}
+            frame, result = captured(self.scene, size, default_settings(techniques=["rsm"]))
+        self.bare, self.shown, self.light = result.combined[..., :3], mirrors_show(frame), {}
         context = Context()
-        context.light = light
+        context.light = result.transports
         for fallback in ("RAYS", "WORLD"):
             self.light[fallback] = compute_ssr(frame, SsrParams(fallback=fallback), context, seed).light
 
@@ -117,14 +100,9 @@ def draw(s: Scene, out: Path) -> None:
     if out.suffix != ".jpg":
         write_picture(out, pixels)
         return
-    import bpy
+    from tools.scene_frames import write_jpeg
 
-    image = bpy.data.images.new("figure", pixels.shape[1], pixels.shape[0])
-    rgba = np.ones((*pixels.shape[:2], 4), np.float32)
-    rgba[..., :3] = pixels[::-1] / np.float32(255)
-    image.pixels.foreach_set(rgba.ravel())
-    image.filepath_raw, image.file_format = str(out.resolve()), "JPEG"
-    image.save(quality=88)
+    write_jpeg(out, pixels)
 
 
 def main() -> None:

@@ -30,6 +30,14 @@ def test_parameter_table_of_the_page_equals_the_code(name):
     assert parameter_tables.updated(page_of(name), name) == page_of(name)
 
 
+@pytest.mark.parametrize("name", TECHNIQUE_PARAMS)
+def test_page_shows_a_picture_and_what_was_measured(name):
+    # made by: python -m tools.technique_pictures, python -m tools.technique_tables
+    page = page_of(name)
+    assert re.search(r"!\[[^\]]+\]\(\.\./images/", page) is not None
+    assert parameter_tables.block_of("measured").search(page)[0].count("\n| ") > 3
+
+
 def test_a_changed_description_would_be_noticed():
     page = page_of("rsm").replace("Visibility rays from each gather point", "Rays")
     assert parameter_tables.updated(page, "rsm") != page
