@@ -37,7 +37,7 @@ class LitVoxels:
     """What the sides of the voxels send.
 
     radiance (V, 6, SIDE_COLUMNS) float32 and lobes (G, LOBE_COLUMNS) float32 as in `kernels.voxel_gather`; flux_w (3,)
-    float64: what was to be sent; lost_w (3,) float64: the part of it that lay on no voxel.
+    float64: what was to be sent; lost_w (3,) float64: the part of it that lay on no voxel, or on a side without area.
     """
 
     radiance: np.ndarray
@@ -62,6 +62,7 @@ def light_voxels(frame: Frame, scene: VoxelScene, use_glossy: bool = True) -> Li
     power. Ignores that the lamps light one part of a voxel's side and not another.
     """
     number, area_m2 = 6 * len(scene), side_areas(scene)
+    is_hidden = area_m2 <= 0                     # slivers that no ray meets: their light goes nowhere
     diffuse, of_side, lobes = np.zeros((number, 3), np.float32), [], []
     flux_w, lost_w = np.zeros(3), np.zeros(3)
     shape, origin, rcp_cell = np.array(scene.grid.shape), np.array(scene.grid.origin_ws), 1.0 / scene.grid.cell_m
@@ -73,13 +74,16 @@ def light_voxels(frame: Frame, scene: VoxelScene, use_glossy: bool = True) -> Li
         sides = find_sides(scene.walk, shape, table, edges, parts, first, origin, rcp_cell, f32(GOOD_SCORE))
         sums = np.zeros((number if use_glossy else 0, LOBE_SUMS), np.float32)
         lost_w += add_texels(table, sides, first, diffuse, sums)
+        lost_w += sums[is_hidden[:len(sums)], :3].sum(0, dtype=np.float64)
+        sums[is_hidden[:len(sums)]] = 0
         glossy = np.flatnonzero(sums[:, -1])
         of_side.append(glossy)
         lobes.append(_mean_lobes(sums[glossy], area_m2[glossy]))
         flux_w += table[DIFFUSE:DIFFUSE + 3].sum(1, dtype=np.float64) + table[GLOSSY:GLOSSY + 3].sum(1, dtype=np.float64)
     radiance = np.zeros((len(scene), 6, SIDE_COLUMNS), np.float32)
     flat = radiance.reshape(-1, SIDE_COLUMNS)
-    lit = np.flatnonzero(diffuse.any(1))
+    lost_w += diffuse[is_hidden].sum(0, dtype=np.float64)
+    lit = np.flatnonzero(diffuse.any(1) & ~is_hidden)
     flat[lit, :3] = diffuse[lit] / (np.float32(np.pi) * area_m2[lit, None])
     return LitVoxels(radiance, _list_lobes(flat, of_side, lobes), flux_w, lost_w)
 
