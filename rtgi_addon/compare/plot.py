@@ -111,7 +111,7 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
         return ""
     errors = [p.error for p in shown] + ([noise] if noise else [])
     x, y = _Axis([p.seconds for p in shown], _LEFT, _WIDTH - _RIGHT), _Axis(errors, _HEIGHT - _BOTTOM, _TOP)
-    parts = _paper("Speed against error", x, y, "seconds a frame", "error of the picture", lambda value: f"{100 * value:g} %")
+    parts = _paper("Speed against error", x, y, "seconds a frame", "error of the picture", lambda share: f"{100 * share:g} %")
     taken: list[tuple[float, float, float, float]] = []
     if noise:
         parts.append(f'<path d="M{_LEFT} {y(noise):.1f}H{_WIDTH - _RIGHT}" stroke="{_INK}" stroke-dasharray="2 4"/>'
@@ -141,12 +141,12 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
     for number, name in enumerate([*curves, "Pareto front"]):
         row = _TOP + 14 + 20 * number
         if name in curves:
-            parts.append(_marker(_CURVE_SHAPES[number % 2], _WIDTH - 255, row, _CURVE_COLOURS[number % 2], name))
+            parts.append(_marker(_CURVE_SHAPES[number % 2], _WIDTH - 285, row, _CURVE_COLOURS[number % 2], name))
         else:
-            parts.append(f'<path d="M{_WIDTH - 265} {row}h20" stroke="{_INK}" stroke-opacity=".35" stroke-width="6"/>')
+            parts.append(f'<path d="M{_WIDTH - 295} {row}h20" stroke="{_INK}" stroke-opacity=".35" stroke-width="6"/>')
         said = f"{name}, samples beside it" if name in curves else name
-        parts.append(f'<text x="{_WIDTH - 240}" y="{row + 4}" fill="{_INK}" {_HALO}>{escape(said)}</text>')
-    taken.append((_WIDTH - 270, _TOP, _WIDTH, _TOP + 20 * (len(curves) + 1)))
+        parts.append(f'<text x="{_WIDTH - 270}" y="{row + 4}" fill="{_INK}" {_HALO}>{escape(said)}</text>')
+    taken.append((_WIDTH - 300, _TOP, _WIDTH, _TOP + 20 * (len(curves) + 1)))
     parts += _placed(wanted, taken)
     return "\n".join([*parts, "</svg>"])
 

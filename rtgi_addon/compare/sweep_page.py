@@ -26,6 +26,13 @@ _WORDS = {
     "triangles": "A grey room with sixteen spheres that grow finer; each is a mesh of its own.",
     "threads": "-1 would halve the time with twice the threads, 0 is what does not get faster."}
 
+_SPEED_ERROR = """## Speed against error
+
+Each technique alone on top of direct light, the three presets with what the scene asks for, and Cycles at the same one bounce.
+The error is the relative L1 of 8x8 blocks against Cycles with many samples, of the picture and of each kind of light over that
+light. The dotted line is what the reference's own noise makes of a perfect picture; an error near it says little. "No change":
+the picture is that of direct light alone, since the scene has nothing that the technique adds; it is not in the plot."""
+
 Line = dict[str, Any]
 
 
@@ -59,10 +66,7 @@ def page_text(lines: Sequence[Line], images: Path, head: str) -> tuple[str, dict
     parts, plots = [head.rstrip(), *_machines(done)], {}
     scenes = list(dict.fromkeys(line["scene"] for line in done if line["axis"] in ERROR_AXES))
     if scenes:
-        parts.append("## Speed against error\n\nEach technique alone on top of direct light, the three presets with what the "
-                     "scene asks for, and Cycles at the same one bounce. The error is the relative L1 of 8x8 blocks against "
-                     "Cycles; the dotted line is what the reference's own noise makes of a perfect picture, and an error "
-                     "near it says little. A technique that the scene has no work for is left out of the plot.")
+        parts.append(_SPEED_ERROR)
     for scene in scenes:
         parts += _speed_error(scene, [line for line in done if line["scene"] == scene and line["axis"] in ERROR_AXES],
                               images, plots)
@@ -96,21 +100,18 @@ def _machines(lines: Sequence[Line]) -> list[str]:
     return ["\n".join(said)] if said else []
 
 
-def _ran(line: Line) -> bool:
-    """Whether a technique alone found work in its frame; else its render is that of direct light."""
-    return line["axis"] != "techniques" or line["name"] == DIRECT or line["name"] in line["ran"]
-
-
 def _speed_error(scene: str, lines: Sequence[Line], images: Path, plots: dict[str, str]) -> list[str]:
     first = lines[0]
-    rows = []
+    rows, points = [], []
+    direct = next((_block(line) for line in lines if line["name"] == DIRECT), None)
     for line in lines:
         errors = line.get("errors", {})
-        cells = [percent(errors.get(part, {}).get("block")) for part in ("picture", *PART_COLUMNS)]
-        rows.append([line["name"], f"{seconds(line):.2f}", _range(line), *cells] if _ran(line) else
-                    [line["name"], "", "no work here", *[""] * len(cells)])
-    measured = [line for line in lines if "errors" in line and _ran(line)]
-    points = [pareto.Point(line["name"], seconds(line), line["errors"]["picture"]["block"], _curve(line)) for line in measured]
+        has_no_work = line["axis"] == "techniques" and line["name"] != DIRECT and _block(line) == direct
+        rows.append([line["name"], f"{seconds(line):.2f}", _range(line),
+                     "no change" if has_no_work and direct else percent(_block(line)),
+                     *(percent(errors.get(part, {}).get("block")) for part in PART_COLUMNS)])
+        if errors and not has_no_work:
+            points.append(pareto.Point(line["name"], seconds(line), _block(line), _curve(line)))
     svg = speed_error_svg(points, OWN, first.get("noise"))
     parts = [f"### {scene}, {_size(first)}"]
     if svg:
@@ -122,6 +123,11 @@ def _speed_error(scene: str, lines: Sequence[Line], images: Path, plots: dict[st
     if own is not None:
         parts.append("\n".join(pareto.words(own, points)))
     return parts
+
+
+def _block(line: Line) -> float | None:
+    """The picture's error, None where it was not measured."""
+    return line.get("errors", {}).get("picture", {}).get("block")
 
 
 def _curve(line: Line) -> str:
@@ -176,9 +182,9 @@ clock, after one that is not timed, with sessions kept as in an animation; the l
 
 How time grows with work is fitted as a power law, time = factor work^exponent, by least squares in logarithms over the
 medians. Exponent 1 is proportional, 0 is no growth. The number after the \u00b1 is the exponent's standard error: it tells
-noise, and how far growth is from a power law. A fixed cost beside a growing one bends the line; the exponent of the last step
-is then the nearer to what larger scenes cost. "rest" is the frame less the stages beside it: Blender's own work, composite,
-small stages. In the plots the dotted line is proportional growth.
+noise, and how far growth is from a power law. A fixed cost beside a growing one bends the line; the exponent of the last
+step is then the nearer to what larger scenes cost. "rest" is the frame less the stages beside it: Blender's own work,
+composite, small stages. In the plots the dotted line is proportional growth.
 """
 
 
