@@ -586,9 +586,9 @@ def _add_bench(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Measure scenes, one after another, each in a process of its own: times of RTGI and of denoised Cycles\n"
                     "one-bounce, and their errors. Writes DIR/results.md and DIR/results.jsonl.\n\n"
-                    "With --sweep: change one thing at a time instead, and fit how time grows with it. Writes DIR/sweeps.md,\n"
-                    "plots, and DIR/sweeps.jsonl, a line a measurement. Repeat the command to go on where it was stopped:\n"
-                    "what is in sweeps.jsonl for the same scene, settings and sources is not measured again.",
+                    "With --sweep: change one thing at a time instead, and fit how time grows with it. Writes\n"
+                    "DIR/sweeps.md, plots, and DIR/sweeps.jsonl, a line a measurement. Repeat the command to go on where\n"
+                    "it was stopped: what is there for the same scene, settings and sources is not measured again.",
         epilog=f"sweeps:\n{axes}\n  {'all':<12} all of these\n\n"
                "The first three have errors (--samples 0 leaves them out). Times mean something on a quiet machine only.\n\n"
                "examples:\n"

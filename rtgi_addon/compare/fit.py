@@ -24,7 +24,7 @@ class PowerLaw:
 
     def __str__(self) -> str:
         error = "" if self.standard_error is None else f" \u00b1 {self.standard_error:.2f}"
-        return f"{self.exponent:.2f}{error}"
+        return f"{self.exponent:z.2f}{error}"
 
 
 def fit_power_law(work: Sequence[float], times: Sequence[float]) -> PowerLaw | None:

@@ -111,7 +111,7 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
         return ""
     errors = [p.error for p in shown] + ([noise] if noise else [])
     x, y = _Axis([p.seconds for p in shown], _LEFT, _WIDTH - _RIGHT), _Axis(errors, _HEIGHT - _BOTTOM, _TOP)
-    parts = _paper("Speed against error", x, y, "seconds a frame", "error of the picture", lambda share: f"{100 * share:g} %")
+    parts = _paper("Speed against error", x, y, "seconds a frame", "error of the picture", lambda e: f"{100 * e:g} %")
     taken: list[tuple[float, float, float, float]] = []
     if noise:
         parts.append(f'<path d="M{_LEFT} {y(noise):.1f}H{_WIDTH - _RIGHT}" stroke="{_INK}" stroke-dasharray="2 4"/>'

@@ -28,10 +28,11 @@ _WORDS = {
 
 _SPEED_ERROR = """## Speed against error
 
-Each technique alone on top of direct light, the three presets with what the scene asks for, and Cycles at the same one bounce.
-The error is the relative L1 of 8x8 blocks against Cycles with many samples, of the picture and of each kind of light over that
-light. The dotted line is what the reference's own noise makes of a perfect picture; an error near it says little. "No change":
-the picture is that of direct light alone, since the scene has nothing that the technique adds; it is not in the plot."""
+Each technique alone on top of direct light, the three presets with what the scene asks for, and Cycles at the same one
+bounce. The error is the relative L1 of 8x8 blocks against Cycles with many samples, of the picture and of each kind of light
+over that light. The dotted line is what the reference's own noise makes of a perfect picture; an error near it says little.
+"No change": the picture is that of direct light alone, since the scene has nothing that the technique adds; it is not in the
+plot."""
 
 Line = dict[str, Any]
 
@@ -157,7 +158,7 @@ def _growth(axis: str, scene: str, lines: Sequence[Line], images: Path, plots: d
     rows += [["exponent", "", *(_exponent(law) for law in fits.values())]]
     if len(lines) > 2:
         rows.append(["of the last step", "", *(_exponent(law) for law in last.values())])
-    named = {f"{name}, exponent {law.exponent:.2f}": table[name] for name, law in fits.items() if law is not None}
+    named = {f"{name}, exponent {law.exponent:z.2f}": table[name] for name, law in fits.items() if law is not None}
     title = scene or f"A room, {_size(lines[0])}"
     if scene and axis != "resolutions":
         title += f", {_size(lines[0])}"
@@ -199,4 +200,4 @@ def summary(lines: Sequence[Line]) -> str:
             if law is not None:
                 said.append(f"{scene or 'a room'}: time grows with {WORK[axis][1]} to the power {law}")
     failed = sum("failed" in line for line in lines)
-    return "\n".join([*said, *([f"{failed} points failed"] if failed else [])])
+    return "\n".join([*said, *([f"points that failed: {failed}"] if failed else [])])

@@ -256,8 +256,6 @@ def sweep(scenes: Sequence[str | Path], out_dir: str | Path, axes: Sequence[str]
     InputError
         No such axis or scene, no scene for an axis that needs one, or an output folder that cannot be made.
     """
-    from . import reference as blender
-
     check_axes(axes)
     out, paths = Path(out_dir), [Path(scene).resolve() for scene in scenes]
     for path in paths:
@@ -271,6 +269,8 @@ def sweep(scenes: Sequence[str | Path], out_dir: str | Path, axes: Sequence[str]
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make the folder {out}: {error.strerror}; choose another place") from error
+    from . import reference as blender
+
     machine = machine_now(blender.blender_version())
     how = {"size": size, "repeats": repeats, "samples": samples, "threads": threads or os.cpu_count() or 1,
            **({"presets": presets} if presets else {})}
