@@ -20,7 +20,7 @@ from rtgi_addon.compare.progress import say  # noqa: E402
 from rtgi_addon.errors import InputError  # noqa: E402
 from sample_scenes import SCENES  # noqa: E402
 
-GROWTH_SCENES = ("cornell_box", "sunlit_colonnade")  # resolutions and threads: a small room, and a large view of many objects
+GROWTH_SCENES = ("cornell_box", "sunlit_colonnade")  # of resolutions and threads: a small room, a large view
 SIZE, SAMPLES, REPEATS = "480x270", 64, 3            # so that nine scenes are done in a quarter of an hour
 
 
