@@ -46,6 +46,7 @@ AXES = {"techniques": "each technique alone, on top of direct light",
 ERROR_AXES = ("techniques", "presets", "cycles")
 ROOM_AXES = ("lights", "triangles")
 DIRECT = "direct only"
+MEASURING = ("halves", "measure", "metrics", "reference", "references", "rooms", "sweeps")   # of this package; see sources_hash
 FILE = "sweeps.jsonl"
 
 
@@ -104,9 +105,12 @@ def points_of(axis: str, scene: str, digest: str, size: tuple[int, int] = SIZE, 
 
 @functools.cache
 def sources_hash() -> str:
-    """Of every Python file of RTGI: whatever is edited is measured anew."""
+    """Of the Python files that can change a number: all of RTGI but its panels, and what draws and prints measurements."""
     digest, root = hashlib.sha256(), Path(__file__).resolve().parent.parent
     for path in sorted(root.rglob("*.py")):
+        folder = path.relative_to(root).parts[0]
+        if folder == "ui" or path.name in ("cli.py", "doctor.py") or folder == "compare" and path.stem not in MEASURING:
+            continue
         data = path.read_bytes()
         digest.update(f"{path.relative_to(root).as_posix()} {len(data)} ".encode() + data)
     return digest.hexdigest()[:16]

@@ -108,8 +108,15 @@ def test_last_line_of_a_key_stands(tmp_path):
     assert line["seconds"] == [1.0] and "failed" not in line
 
 
-def test_sources_hash_is_of_all_of_rtgi():
-    assert re.fullmatch(r"[0-9a-f]{16}", sweeps.sources_hash())
+def test_sources_hash_sees_a_kernel_and_not_a_page(monkeypatch):
+    read, before = Path.read_bytes, sweeps.sources_hash()
+
+    def edited(name):
+        monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path.name == name))
+        return sweeps.sources_hash.__wrapped__()
+
+    assert edited("sweep_page.py") == edited("panels.py") == before
+    assert len({before, *map(edited, ("bvh.py", "planner.py", "metrics.py", "techniques.py"))}) == 5
 
 
 def test_time_left_is_the_mean_so_far_for_each_that_is_left(monkeypatch):
