@@ -46,7 +46,8 @@ AXES = {"techniques": "each technique alone, on top of direct light",
 ERROR_AXES = ("techniques", "presets", "cycles")
 ROOM_AXES = ("lights", "triangles")
 DIRECT = "direct only"
-MEASURING = ("halves", "measure", "metrics", "reference", "references", "rooms", "sweeps")   # of this package; see sources_hash
+# the modules of this package that decide numbers; the others draw and print them
+MEASURING = ("halves", "measure", "metrics", "reference", "references", "rooms", "sweeps")
 FILE = "sweeps.jsonl"
 
 
