@@ -14,6 +14,7 @@ import hashlib
 import importlib
 import json
 import os
+import statistics
 import subprocess
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -35,6 +36,7 @@ SIZES = ((480, 270), (640, 360), (960, 540), (1280, 720), (1920, 1080))
 LIGHTS = (1, 2, 4, 8, 16, 32)
 TRIANGLES = tuple(16 * 20 * 4**level for level in range(1, 7))      # sixteen spheres, each four times as fine as before
 CYCLES = (1, 4, 16)
+PRESET_NAMES = tuple(name for name, _, _ in PRESETS)
 # axis: what its points are; the first three have errors, the others an amount of work that time is fitted against
 AXES = {"techniques": "each technique alone, on top of direct light",
         "presets": "draft, balanced, quality, with the techniques that the scene asks for",
@@ -56,8 +58,8 @@ class Point:
     """One measurement that is wanted: everything but the machine and the versions that decides its numbers.
 
     `work` is the amount that time is fitted against, 0 on axes without one. `techniques` None is what the scene asks for;
-    `cycles` above 0 is a render by Cycles of so many samples instead. `samples` 0 measures no error. `digest` is that of
-    the scene's bytes, "" for a room.
+    `cycles` above 0 is a render by Cycles of so many samples instead. `samples` 0 measures no error; `given` is the
+    path of a reference to measure it against. `digest` is that of the scene's bytes, "" for a room.
     """
 
     axis: str
@@ -73,6 +75,7 @@ class Point:
     cycles: int = 0
     denoise: bool = False
     samples: int = 0
+    given: str = ""
 
 
 def thread_counts(most: int) -> list[int]:
@@ -81,10 +84,12 @@ def thread_counts(most: int) -> list[int]:
 
 
 def points_of(axis: str, scene: str, digest: str, size: tuple[int, int] = SIZE, repeats: int = REPEATS,
-              samples: int = SAMPLES, presets: Sequence[str] = tuple(name for name, _, _ in PRESETS),
-              threads: int = 1) -> list[Point]:
+              samples: int = SAMPLES, presets: Sequence[str] = PRESET_NAMES,
+              threads: int = 1, given: str = "") -> list[Point]:
     """The points of an axis for one scene; of `ROOM_AXES`, whose scenes are made, for all of them."""
-    base = Point(axis, scene, "", size, threads, repeats, digest, samples=samples if axis in ERROR_AXES else 0)
+    base = Point(axis, scene, "", size, threads, repeats, digest)
+    if axis in ERROR_AXES:
+        base = dataclasses.replace(base, samples=samples, given=given)
     changes: Iterable[dict[str, Any]]
     if axis == "techniques":
         changes = [{"name": DIRECT, "techniques": ()},
@@ -140,7 +145,7 @@ def read_lines(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _count(path: Path) -> int:
-    return path.read_bytes().count(b"\n") if path.is_file() else 0
+    return len(path.read_text(encoding="utf-8").splitlines()) if path.is_file() else 0
 
 
 def pending(points: Sequence[Point], machine: dict[str, Any], lines: dict[str, dict[str, Any]]) -> list[Point]:
@@ -158,9 +163,10 @@ def _append(path: Path, point: Point, machine: dict[str, Any], what: dict[str, A
 
 # ---- in the fresh process ----
 
-def _measured(blender: Any, scene: Any, path: Path | None, point: Point, cache: Path, given: Path | None) -> dict[str, Any]:
+def _measured(blender: Any, scene: Any, path: Path | None, point: Point, cache: Path) -> dict[str, Any]:
     """Times of one point, and its errors where it wants them."""
-    truth = reference_for(scene, path, point.size, point.samples, cache, given) if point.samples else None
+    given = Path(point.given) if point.given else None
+    truth = reference_for(scene, path, point.size, point.samples, cache, given) if point.samples or given else None
     floor = {"noise": floors_of(truth)["block"]} if truth is not None else {}
     with blender.on_threads(scene, point.threads):
         if point.cycles:
@@ -191,7 +197,7 @@ def child_main(request: str) -> None:
     points = [Point(**{name: tuple(value) if isinstance(value, list) else value for name, value in point.items()})
               for point in words["points"]]
     results, machine = Path(words["results"]), words["machine"]
-    path, given = (Path(words[name]) if words[name] else None for name in ("path", "given"))
+    path = Path(words["path"]) if words["path"] else None
     progress = Progress(**words["progress"])
     scene = None
     for point in points:
@@ -203,8 +209,8 @@ def child_main(request: str) -> None:
 
                 rooms.ROOMS[point.axis](point.work)
                 scene = blender.current_scene()
-            what = _measured(blender, scene, path, point, Path(words["cache"]), given)
-            said = f"{sorted(what['seconds'])[len(what['seconds']) // 2]:.2f} s"
+            what = _measured(blender, scene, path, point, Path(words["cache"]))
+            said = f"{statistics.median(what['seconds']):.2f} s"
         except Exception as error:  # noqa: BLE001  whatever it is, it is this point's line, and the next one is measured
             what = {"failed": " ".join(f"{type(error).__name__}: {error}".split())}
             said = f"failed: {what['failed']}"
@@ -216,14 +222,14 @@ def child_main(request: str) -> None:
 # ---- the command ----
 
 def _measure_scene(points: Sequence[Point], path: Path | None, results: Path, machine: dict[str, Any], cache: Path,
-                   given: Path | None, progress: Progress) -> None:
+                   progress: Progress) -> None:
     """Measure the points of one scene in fresh processes: in one, unless Blender dies over a point."""
     from . import reference as blender
 
     left = list(points)
     while left:
         request = {"points": [dataclasses.asdict(point) for point in left], "path": str(path or ""),
-                   "given": str(given or ""), "results": str(results), "machine": machine, "cache": str(cache),
+                   "results": str(results), "machine": machine, "cache": str(cache),
                    "progress": {"total": progress.total, "done": progress.done, "spent_s": progress.spent_s}}
         before = _count(results)
         done = subprocess.run(child_command(__name__, json.dumps(request), blender.blender_binary()),
@@ -278,7 +284,7 @@ def sweep(scenes: Sequence[str | Path], out_dir: str | Path, axes: Sequence[str]
 
     machine = machine_now(blender.blender_version())
     how = {"size": size, "repeats": repeats, "samples": samples, "threads": threads or os.cpu_count() or 1,
-           **({"presets": presets} if presets else {})}
+           "presets": presets or PRESET_NAMES, "given": str(Path(reference).resolve()) if reference is not None else ""}
     jobs: list[tuple[Path | None, list[Point]]] = []
     for path in paths:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
@@ -293,7 +299,6 @@ def sweep(scenes: Sequence[str | Path], out_dir: str | Path, axes: Sequence[str]
     if progress.total < len(wanted):
         say(f"{len(wanted) - progress.total} of {len(wanted)} points are in {results} already and are not measured again")
     for path, points in jobs:
-        _measure_scene(pending(points, machine, lines), path, results, machine, out.resolve() / "references",
-                       Path(reference).resolve() if reference is not None else None, progress)
+        _measure_scene(pending(points, machine, lines), path, results, machine, out.resolve() / "references", progress)
     lines = read_lines(results)
     return [lines[key_of(point, machine)] for point in wanted]

@@ -99,6 +99,12 @@ def test_half_written_line_is_no_measurement_and_spoils_none(tmp_path):
     assert sweeps.pending([first, second, third], MACHINE, sweeps.read_lines(path)) == [second]
 
 
+def test_only_axes_with_errors_depend_on_the_reference():
+    for axis in sweeps.AXES:
+        same = points(axis, samples=4, given="a.npz") == points(axis, samples=4, given="b.npz")
+        assert same == (axis not in sweeps.ERROR_AXES)
+
+
 def test_last_line_of_a_key_stands(tmp_path):
     path = tmp_path / sweeps.FILE
     (point, *_) = points("presets")
