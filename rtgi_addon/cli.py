@@ -19,6 +19,7 @@ from typing import Any
 
 from . import __version__
 from .blendfile import refuse_newer
+from .compare.progress import clock
 from .core.settings import PRESETS, Settings
 from .core.techniques import ALWAYS_ON, LABELS, TECHNIQUE_PARAMS, optional_techniques, preset_params
 from .errors import Cancelled, InputError, RtgiError
@@ -331,13 +332,6 @@ def write_outputs(words: argparse.Namespace, scene: Any, result: Any) -> None:
         raise InputError(f"cannot write beside {out}: {error.strerror}; choose another place") from error
 
 
-def clock(seconds: float) -> str:
-    """Seconds as "0:07", "12:05" or "1:02:05"."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
-
-
 def frames_to_render(words: argparse.Namespace, current: int) -> Iterator[int]:
     """Frames that the words name, `current` if they name none, without those that are there and may be skipped."""
     for frame in words.frames or [current]:
@@ -479,13 +473,36 @@ def run_compare(words: argparse.Namespace) -> int:
     return DONE
 
 
+def parse_axes(text: str) -> list[str]:
+    """"lights,threads" to names, "all" to every axis; InputError for an unknown one."""
+    from .compare.sweeps import AXES, check_axes
+
+    names = [name.strip().lower() for name in text.split(",")]
+    if names == ["all"]:
+        return list(AXES)
+    check_axes(names)
+    return list(dict.fromkeys(names))
+
+
 def run_bench(words: argparse.Namespace) -> int:
     """`rtgi bench`."""
+    axes = parse_axes(words.sweep) if words.sweep else None
     size = parse_size(words.size)
     presets = [parse_preset(name) for name in words.presets.split(",")] if words.presets else None
     for scene in words.scenes:
         refuse_newer(Path(scene), (sys.maxsize, 0))
     _blender()
+    if axes is not None:
+        from .compare import sweep_page
+        from .compare.sweeps import sweep
+
+        lines = sweep(words.scenes, words.output, axes, size, words.repeats, words.samples, presets, words.threads or 0,
+                      words.reference)
+        sweep_page.write_page(lines, words.output / "sweeps.md", words.output / "plots",
+                              sweep_page.HEAD.format(command="rtgi bench --sweep", repeats=words.repeats))
+        print(sweep_page.summary(lines))
+        print(words.output / "sweeps.md", flush=True)
+        return DONE if any("seconds" in line for line in lines) else FAILED
     from .compare.bench import bench
 
     bench(words.scenes, words.output, size, words.repeats, words.samples, presets, threads=words.threads or 0,
@@ -561,13 +578,25 @@ def _add_compare(commands: Any) -> None:
 
 
 def _add_bench(commands: Any) -> None:
+    from .compare.sweeps import AXES
+
+    axes = "\n".join(f"  {name:<12} {what}" for name, what in AXES.items())
     parser = commands.add_parser(
-        "bench", help="speed against error, for every preset and for Cycles",
+        "bench", help="speed against error, for every preset and for Cycles; how cost grows with work",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Measure scenes, one after another, each in a process of its own: times of RTGI and of denoised Cycles\n"
-                    "one-bounce, and their errors. Writes DIR/results.md and DIR/results.jsonl.",
-        epilog="Times mean something on a quiet machine only.")
-    parser.add_argument("scenes", nargs="+", metavar="SCENE.blend")
+                    "one-bounce, and their errors. Writes DIR/results.md and DIR/results.jsonl.\n\n"
+                    "With --sweep: change one thing at a time instead, and fit how time grows with it. Writes\n"
+                    "DIR/sweeps.md, plots, and DIR/sweeps.jsonl, a line a measurement. Repeat the command to go on where\n"
+                    "it was stopped: what is there for the same scene, settings and sources is not measured again.",
+        epilog=f"sweeps:\n{axes}\n  {'all':<12} all of these\n\n"
+               "The first three have errors (--samples 0 leaves them out). Times mean something on a quiet machine only.\n\n"
+               "examples:\n"
+               "  rtgi bench room.blend hall.blend -o out/bench\n"
+               "  rtgi bench room.blend -o out/bench --sweep techniques,presets,cycles --size 480x270 --samples 64\n"
+               "  rtgi bench -o out/bench --sweep lights,triangles")
+    parser.add_argument("scenes", nargs="*", metavar="SCENE.blend")
+    parser.add_argument("--sweep", metavar="LIST", help="what to change, with commas, or all; the list is below")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for the results")
     parser.add_argument("--presets", metavar="LIST", help="presets of RTGI, with commas; all if left out")
     parser.add_argument("--repeats", type=_count, default=3, metavar="N", help="timed frames, after one that is not; 3")

@@ -45,6 +45,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "compare.reference": BLENDER | {
         "numpy", "rtgi_addon.blendfile", "rtgi_addon.capture", "rtgi_addon.compare", "rtgi_addon.core", "rtgi_addon.engine",
         "rtgi_addon.errors", "rtgi_addon.imageio", "rtgi_addon.ui.props"},
+    "compare.rooms": BLENDER,
     "capture": BLENDER | {
         "numpy", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.errors", "rtgi_addon.kernels",
         "rtgi_addon.light_views"},

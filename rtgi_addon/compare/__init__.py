@@ -1,1 +1,1 @@
-"""Measuring: metrics, references by Cycles, tables, pictures and benchmarks. Only `reference` imports Blender."""
+"""Measuring: metrics, references by Cycles, tables, pictures, benchmarks. Only `reference` and `rooms` import Blender."""

@@ -13,7 +13,6 @@ import os
 import platform
 import statistics
 import subprocess
-import sys
 import tempfile
 import traceback
 from collections.abc import Sequence
@@ -25,6 +24,7 @@ from ..core.techniques import TECHNIQUE_PARAMS
 from ..errors import InputError, RtgiError
 from ..imageio import replacing
 from ..pipeline import peak_memory_mb, versions
+from .child import child_command, child_environment, end
 from .measure import errors_of, noise_of, picture_errors
 from .report import percent, text_table
 from .run import PEER_SAMPLES, peers_for, reference_for, say, settings_for
@@ -101,10 +101,7 @@ def measure_scene(path: Path, cache: Path, size: tuple[int, int] = SIZE, repeats
 
 
 def child_main(request: str) -> None:
-    """Entry of the fresh process: measure what the JSON `request` says, write the record, end without Blender's clean-up.
-
-    bpy 4.5 is known to hang at its exit after renders by an engine of its own.
-    """
+    """Entry of the fresh process: measure what the JSON `request` says, and write the record."""
     from .. import register
 
     words = json.loads(request)
@@ -120,29 +117,16 @@ def child_main(request: str) -> None:
         say(str(error))
     except Exception:  # noqa: BLE001  the parent needs an exit code, the person the traceback
         traceback.print_exc()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
-
-
-def _child_command(request: str) -> list[str]:
-    """How to start `child_main`: Blender itself where this is Blender, else this Python with the bpy module."""
-    from . import reference as blender
-
-    code = f"import importlib; importlib.import_module({__name__!r}).child_main({request!r})"
-    binary = blender.blender_binary()
-    return [binary, "-b", "--python-exit-code", "1", "--python-expr", code] if binary else [sys.executable, "-c", code]
+    end(status)
 
 
 def _measure_in_child(request: dict[str, Any]) -> dict[str, Any]:
+    from . import reference as blender
+
     with tempfile.TemporaryDirectory(prefix="rtgi_bench_") as folder:
         record = Path(folder) / "record.json"
-        environment = dict(os.environ)
-        levels = len(__name__.split("."))
-        root = str(Path(__file__).resolve().parents[levels - 1])
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, environment.get("PYTHONPATH")]))
-        done = subprocess.run(_child_command(json.dumps({**request, "record": str(record)})), env=environment,
-                              stdout=subprocess.DEVNULL, check=False)
+        command = child_command(__name__, json.dumps({**request, "record": str(record)}), blender.blender_binary())
+        done = subprocess.run(command, env=child_environment(), stdout=subprocess.DEVNULL, check=False)
         if done.returncode or not record.is_file():
             raise RtgiError(f"measuring {request['path']} ended with code {done.returncode}; its messages are above")
         return json.loads(record.read_text(encoding="utf-8"))

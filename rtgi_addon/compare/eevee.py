@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -12,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from .child import child_command, child_environment, end
 
 _SECONDS = 540              # OpenGL in software takes a minute or more a frame; beyond this it is not worth waiting
 _PACKAGE = __name__.rpartition(".")[0]
@@ -32,9 +33,7 @@ def child_main(request: str) -> None:
         status = 0
     except Exception as error:  # noqa: BLE001  whatever it is, the parent leaves EEVEE out and says this line
         print(f"{type(error).__name__}: {error}".splitlines()[0], file=sys.stderr)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
+    end(status)
 
 
 def render_eevee(blend_path: Path, frame: int, size: tuple[int, int], threads: int, binary: str) -> dict[str, Any] | str:
@@ -46,14 +45,9 @@ def render_eevee(blend_path: Path, frame: int, size: tuple[int, int], threads: i
         out = Path(folder) / "eevee.npz"
         request = json.dumps({"path": str(blend_path.resolve()), "frame": frame, "size": list(size), "threads": threads,
                               "out": str(out)})
-        code = f"import importlib; importlib.import_module({__name__!r}).child_main({request!r})"
-        blender = [binary, "-b", "--python-exit-code", "1", "--python-expr", code]
-        command = blender if binary else [sys.executable, "-c", code]
-        root = str(Path(__file__).resolve().parents[len(__name__.split(".")) - 1])
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
         try:
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, errors="replace",
-                                  timeout=_SECONDS, check=False)
+            done = subprocess.run(child_command(__name__, request, binary), env=child_environment(), capture_output=True,
+                                  text=True, errors="replace", timeout=_SECONDS, check=False)
         except subprocess.TimeoutExpired:
             return f"EEVEE is left out: it was not done after {_SECONDS} s (OpenGL in software?)"
         if done.returncode or not out.is_file():

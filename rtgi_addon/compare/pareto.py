@@ -45,7 +45,8 @@ def error_at_seconds(curve: Sequence[Point], seconds: float) -> float | None:
     ordered = sorted(curve, key=lambda p: p.seconds)
     for before, after in zip(ordered, ordered[1:], strict=False):
         if before.seconds <= seconds <= after.seconds:
-            share = math.log(seconds / before.seconds) / math.log(after.seconds / before.seconds) if after != before else 0.0
+            span = math.log(after.seconds / before.seconds)
+            share = math.log(seconds / before.seconds) / span if span else 0.0
             return before.error * (after.error / before.error) ** share
     return None
 

@@ -1,4 +1,4 @@
-"""Speed against error as an SVG of its own: both axes in logarithms, the Pareto front, the reference's noise.
+"""Plots as SVG, all axes in logarithms: speed against error with the Pareto front, and time against amount of work.
 
 Colours are CSS variables with a value to fall back to, so that the picture follows the page that it stands in and can be
 opened alone. Points are told apart by shape as well as by colour.
@@ -7,7 +7,7 @@ opened alone. Points are told apart by shape as well as by colour.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 
 from .pareto import Point, pareto_front
@@ -39,6 +39,34 @@ class _Axis:
         decades = range(math.floor(self.low), math.ceil(self.high) + 1)
         found = [step * 10.0**decade for decade in decades for step in _TICKS]
         return [value for value in found if self.low <= math.log10(value) <= self.high]
+
+
+def _paper(title: str, x: _Axis, y: _Axis, x_title: str, y_title: str, y_text: Callable[[float], str]) -> list[str]:
+    """The head of a plot: its ground, grid, numbers and the axes' names."""
+    right = x.end
+    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" font-size="13" '
+             f'font-family="system-ui, sans-serif"><title>{escape(title)}</title>'
+             f'<rect width="{_WIDTH}" height="{_HEIGHT}" fill="var(--card, #fff)"/>']
+    for value in x.ticks():
+        parts.append(f'<path d="M{x(value):.1f} {_TOP}V{_HEIGHT - _BOTTOM}" stroke="{_FAINT}" fill="none"/>'
+                     f'<text x="{x(value):.1f}" y="{_HEIGHT - _BOTTOM + 18}" text-anchor="middle" fill="{_INK}">'
+                     f'{_short(value)}</text>')
+    for value in y.ticks():
+        parts.append(f'<path d="M{_LEFT} {y(value):.1f}H{right}" stroke="{_FAINT}" fill="none"/>'
+                     f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end" fill="{_INK}">{y_text(value)}</text>')
+    parts.append(f'<text x="{(_LEFT + right) / 2}" y="{_HEIGHT - 10}" text-anchor="middle" fill="{_INK}">'
+                 f'{escape(x_title)}</text>'
+                 f'<text transform="translate(16 {(_TOP + _HEIGHT - _BOTTOM) / 2}) rotate(-90)" text-anchor="middle" '
+                 f'fill="{_INK}">{escape(y_title)}</text>')
+    return parts
+
+
+def _short(value: float) -> str:
+    """A number on an axis: 200000 is 200k."""
+    for unit, sign in ((1e6, "M"), (1e3, "k")):
+        if value >= unit:
+            return f"{value / unit:g}{sign}"
+    return f"{value:g}"
 
 
 def _marker(shape: str, x: float, y: float, colour: str, title: str) -> str:
@@ -83,20 +111,7 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
         return ""
     errors = [p.error for p in shown] + ([noise] if noise else [])
     x, y = _Axis([p.seconds for p in shown], _LEFT, _WIDTH - _RIGHT), _Axis(errors, _HEIGHT - _BOTTOM, _TOP)
-    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" font-size="13" '
-             'font-family="system-ui, sans-serif"><title>Speed against error</title>']
-    for value in x.ticks():
-        parts.append(f'<path d="M{x(value):.1f} {_TOP}V{_HEIGHT - _BOTTOM}" stroke="{_FAINT}" fill="none"/>'
-                     f'<text x="{x(value):.1f}" y="{_HEIGHT - _BOTTOM + 18}" text-anchor="middle" fill="{_INK}">'
-                     f'{value:g}</text>')
-    for value in y.ticks():
-        parts.append(f'<path d="M{_LEFT} {y(value):.1f}H{_WIDTH - _RIGHT}" stroke="{_FAINT}" fill="none"/>'
-                     f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end" fill="{_INK}">'
-                     f'{100 * value:g} %</text>')
-    parts.append(f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 10}" text-anchor="middle" fill="{_INK}">'
-                 'seconds a frame</text>'
-                 f'<text transform="translate(16 {(_TOP + _HEIGHT - _BOTTOM) / 2}) rotate(-90)" text-anchor="middle" '
-                 f'fill="{_INK}">error of the picture</text>')
+    parts = _paper("Speed against error", x, y, "seconds a frame", "error of the picture", lambda e: f"{100 * e:g} %")
     taken: list[tuple[float, float, float, float]] = []
     if noise:
         parts.append(f'<path d="M{_LEFT} {y(noise):.1f}H{_WIDTH - _RIGHT}" stroke="{_INK}" stroke-dasharray="2 4"/>'
@@ -126,11 +141,61 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
     for number, name in enumerate([*curves, "Pareto front"]):
         row = _TOP + 14 + 20 * number
         if name in curves:
-            parts.append(_marker(_CURVE_SHAPES[number % 2], _WIDTH - 255, row, _CURVE_COLOURS[number % 2], name))
+            parts.append(_marker(_CURVE_SHAPES[number % 2], _WIDTH - 285, row, _CURVE_COLOURS[number % 2], name))
         else:
-            parts.append(f'<path d="M{_WIDTH - 265} {row}h20" stroke="{_INK}" stroke-opacity=".35" stroke-width="6"/>')
+            parts.append(f'<path d="M{_WIDTH - 295} {row}h20" stroke="{_INK}" stroke-opacity=".35" stroke-width="6"/>')
         said = f"{name}, samples beside it" if name in curves else name
-        parts.append(f'<text x="{_WIDTH - 240}" y="{row + 4}" fill="{_INK}" {_HALO}>{escape(said)}</text>')
-    taken.append((_WIDTH - 270, _TOP, _WIDTH, _TOP + 20 * (len(curves) + 1)))
+        parts.append(f'<text x="{_WIDTH - 270}" y="{row + 4}" fill="{_INK}" {_HALO}>{escape(said)}</text>')
+    taken.append((_WIDTH - 300, _TOP, _WIDTH, _TOP + 20 * (len(curves) + 1)))
     parts += _placed(wanted, taken)
     return "\n".join([*parts, "</svg>"])
+
+
+# ---- time against work ----
+
+_SERIES_COLOURS = ("var(--ink, #222)", "#2a5bd7", "#c2571a", "#1c7c54", "#a03a8c", "#8a7a00", "#0f8296", "#b03030")
+_MOST_SERIES = len(_SERIES_COLOURS)
+_NAMES_PX = 210             # room at the right for the names of the lines
+_NAME_STEP_PX = 17
+
+
+def cost_svg(title: str, work_title: str, work: Sequence[float], series: Mapping[str, Sequence[float]]) -> str:
+    """SVG text of times in ms against work, a line a name; "" without two amounts of work and a time above zero.
+
+    The first of `series` is the one that stands out, and its ends are joined to a dotted line of proportional growth. Of
+    the others those with the longest times are drawn.
+    """
+    shown = {name: ms for name, ms in series.items() if min(ms) > 0}
+    names = [*list(shown)[:1], *sorted(list(shown)[1:], key=lambda name: -max(shown[name]))][:_MOST_SERIES]
+    if not names or len(set(work)) < 2:
+        return ""
+    right = _WIDTH - _NAMES_PX
+    x, y = _Axis(work, _LEFT, right), _Axis([ms for name in names for ms in shown[name]], _HEIGHT - _BOTTOM, _TOP)
+    parts = _paper(title, x, y, work_title, "ms a frame", _short)
+    start = shown[names[0]][0]
+    parts.append(f'<clipPath id="area"><path d="M{_LEFT} {_TOP}H{right}V{_HEIGHT - _BOTTOM}H{_LEFT}z"/></clipPath>'
+                 f'<path clip-path="url(#area)" d="M{x(work[0]):.1f} {y(start):.1f}L{x(work[-1]):.1f} '
+                 f'{y(start * work[-1] / work[0]):.1f}" stroke="{_INK}" stroke-dasharray="2 4" fill="none"/>')
+    rows = _spread([y(shown[name][-1]) for name in names])
+    for number, name in enumerate(names):
+        colour = _SERIES_COLOURS[number]
+        corners = [(x(w), y(ms)) for w, ms in zip(work, shown[name], strict=True)]
+        parts.append(f'<polyline points="{" ".join(f"{px:.1f},{py:.1f}" for px, py in corners)}" fill="none" '
+                     f'stroke="{colour}" stroke-width="{3 if number == 0 else 1.6}"/>')
+        for corner, w, ms in zip(corners, work, shown[name], strict=True):
+            parts.append(f'<circle cx="{corner[0]:.1f}" cy="{corner[1]:.1f}" r="3.5" fill="{colour}">'
+                         f'<title>{escape(name)}: {ms:.3g} ms at {w:g}</title></circle>')
+        parts.append(f'<path d="M{corners[-1][0] + 6:.1f} {corners[-1][1]:.1f}L{right + 4} {rows[number]:.1f}" '
+                     f'stroke="{colour}" stroke-opacity=".4" fill="none"/>'
+                     f'<text x="{right + 8}" y="{rows[number] + 4:.1f}" fill="{colour}">{escape(name)}</text>')
+    return "\n".join([*parts, "</svg>"])
+
+
+def _spread(rows: Sequence[float]) -> list[float]:
+    """Rows for names beside the ends of lines: as near as they can be without covering each other, within the plot."""
+    placed = [0.0] * len(rows)
+    before = -math.inf
+    for i in sorted(range(len(rows)), key=lambda i: rows[i]):
+        before = placed[i] = max(rows[i], before + _NAME_STEP_PX)
+    beyond = max(0.0, max(placed) - (_HEIGHT - _BOTTOM))
+    return [row - beyond for row in placed] if beyond else placed

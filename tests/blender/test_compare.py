@@ -218,6 +218,38 @@ def test_bench_of_a_broken_scene_is_one_error(tmp_path):
         bench([broken], tmp_path / "bench", SIZE, repeats=1, samples=0)
 
 
+def test_sweep_measures_goes_on_and_survives_a_point_that_fails(blend_path, tmp_path, capfd):
+    from rtgi_addon.compare.sweeps import FILE, sweep
+
+    def run():
+        return sweep([blend_path], tmp_path / "out", ("presets",), (32, 18), 2, 2, presets=("DRAFT", "NONE"), threads=1)
+
+    lines = run()
+    assert [("seconds" in line, "failed" in line) for line in lines] == [(True, False), (False, True)]
+    draft = lines[0]
+    assert len(draft["seconds"]) == 2 and draft["stages_ms"]["direct"] and draft["errors"]["picture"]["block"] < 1
+    assert "1 of 2: small, presets draft" in capfd.readouterr().err
+    again = run()                    # only the failed point is tried once more
+    assert again[0] == draft and len((tmp_path / "out" / FILE).read_text().splitlines()) == 3
+    said = capfd.readouterr().err
+    assert "1 of 2 points are in" in said and "1 of 1: small, presets none: failed" in said
+
+
+@pytest.mark.parametrize("axis", ["lights", "triangles"])
+def test_room_of_a_sweep_holds_what_its_name_says_and_renders(bpy_session, axis):
+    from rtgi_addon.compare import reference, rooms, sweeps
+
+    count = {"lights": 3, "triangles": sweeps.TRIANGLES[0]}[axis]
+    rooms.ROOMS[axis](count)
+    scene = reference.current_scene()
+    triangles = sum(len(o.data.loop_triangles) for o in scene.objects if o.name.startswith("Sphere"))
+    lamps = [o for o in scene.objects if o.type == "LIGHT"]
+    assert len(lamps) == (3 if axis == "lights" else 1) and triangles == (count if axis == "triangles" else 0)
+    result, _ = reference.render_rtgi(scene, reference.scene_settings(scene), SIZE)
+    assert np.isfinite(result.combined).all() and result.report["plan"]["facts"]["surface_share"] == 1
+    assert 0.05 < result.combined[..., :3].mean() < 5
+
+
 def test_denoised_cycles_is_left_out_where_blender_has_no_denoiser(bpy_session, monkeypatch, capsys):
     from rtgi_addon.compare import reference, run
 

@@ -37,6 +37,10 @@ def test_a_point_of_the_curve_is_met_exactly():
     assert pareto.error_at_seconds(CYCLES, 2.0) == pytest.approx(0.04, rel=EXACT)
 
 
+def test_points_of_a_curve_that_took_equally_long_are_no_error():
+    assert pareto.error_at_seconds([Point("a", 1.0, 0.1), Point("b", 1.0, 0.05)], 1.0) == 0.1
+
+
 @pytest.mark.parametrize("error", [0.09, 0.001])
 def test_no_time_is_made_up_beyond_the_curve(error):
     assert pareto.seconds_for_error(CYCLES, error) is None
