@@ -6,7 +6,6 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -34,14 +33,11 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture
-def one_thread() -> Iterator[None]:
+def one_thread(monkeypatch) -> None:
     """Kernels on one thread: for thousands of them on a few pixels each, where waking a second one costs more."""
-    import numba
+    from rtgi_addon.kernels import jit
 
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(before)
+    monkeypatch.setattr(jit, "most_threads", lambda: 1)
 
 
 @pytest.fixture(scope="session")
