@@ -75,8 +75,7 @@ def measure_scene(path: Path, cache: Path, size: tuple[int, int] = SIZE, repeats
             say(f"{path.stem}: RTGI, {preset.lower()}, {repeats + 1} frames")
             settings = settings_for(own, preset, None)
             with blender.keeping_data(scene):
-                first, first_seconds = blender.render_rtgi(scene, settings, size)
-                frames = [blender.render_rtgi(scene, settings, size) for _ in range(repeats)]
+                (first, first_seconds), *frames = blender.render_rtgi_frames(scene, settings, 1 + repeats, size)
             pictures[preset] = frames[-1][0]
             record["rtgi"][preset] = {
                 "first_seconds": first_seconds, "jit_ms": first.report["jit_ms"],

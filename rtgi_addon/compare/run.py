@@ -180,8 +180,7 @@ def _render_rtgi(blender: Any, scene: Any, variants: Sequence[tuple[str, Setting
     for name, variant in variants:
         say(f"{name}: {REPEATS + 1} frames, all but the first are timed")
         with blender.keeping_data(scene):
-            first, _ = blender.render_rtgi(scene, variant, size)
-            frames = [blender.render_rtgi(scene, variant, size) for _ in range(REPEATS)]
+            (first, _), *frames = blender.render_rtgi_frames(scene, variant, 1 + REPEATS, size)
         frames.sort(key=lambda frame: frame[1])
         result, seconds = frames[REPEATS // 2]       # the picture is the same in all; stages are those of the median frame
         result.report["jit_ms"] = first.report["jit_ms"]

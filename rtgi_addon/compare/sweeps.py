@@ -175,8 +175,7 @@ def _measured(blender: Any, scene: Any, path: Path | None, point: Point, cache: 
             return {"seconds": list(peer.seconds), **errors, **floor}
         settings = settings_for(blender.scene_settings(scene), point.preset, point.techniques)
         with blender.keeping_data(scene):
-            first, first_seconds = blender.render_rtgi(scene, settings, point.size)
-            frames = [blender.render_rtgi(scene, settings, point.size) for _ in range(point.repeats)]
+            (first, first_seconds), *frames = blender.render_rtgi_frames(scene, settings, 1 + point.repeats, point.size)
     stages: dict[str, list[float]] = {}
     for result, _ in frames:
         for stage in result.report["stages"]:
