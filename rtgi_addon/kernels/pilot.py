@@ -13,8 +13,8 @@ from .vec3 import ONE, along, dot, f32, lifted, load, scaled, tangent_frame, to_
 @pixel_jit
 def _lit_hits(begin, end, position, normal, bvh, to_sun, rays, offset_m, reach_m, seed, out, lit):
     bvh, = borrowed((bvh,))
+    stack = np.empty(STACK, np.int32)
     for m in range(begin, end):
-        stack = np.empty(STACK, np.int32)
         n = load(normal, m)
         tangent, bitangent = tangent_frame(n)
         origin = lifted(load(position, m), n, offset_m)
@@ -51,8 +51,8 @@ def lit_hits(position, normal, bvh, to_sun, rays, offset_m, reach_m, seed):
 @pixel_jit
 def _cast_rays(begin, end, origin, direction, bvh, near, reach, distance, slots, us, vs):
     bvh, = borrowed((bvh,))
+    stack = np.empty(STACK, np.int32)
     for i in range(begin, end):
-        stack = np.empty(STACK, np.int32)
         d = load(direction, i)
         start = along(load(origin, i), d, near)
         t, slot, u, v = closest_hit(bvh, stack, start, d, reach)

@@ -55,8 +55,8 @@ def _gather_sky(begin, end, position, normal, ids, radiance, cdf, density, bvh, 
     bvh, = borrowed((bvh,))
     height, width = radiance.shape[0], radiance.shape[1]
     by_map = int(f32(rays) * map_share)
+    stack = np.empty(STACK, np.int32)
     for m in range(begin, end):
-        stack = np.empty(STACK, np.int32)
         p, n = load(position, m), load(normal, m)
         tangent, bitangent = tangent_frame(n)
         origin = lifted(p, n, offset_m)

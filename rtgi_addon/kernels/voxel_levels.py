@@ -82,9 +82,9 @@ def mark_parents(children, parents):
 def fill_parents(begin, end, cells, children, base, coverage, light):
     """Coverage and light of the cells (P, 3) of a level, rows `base` on, from the level below; in place."""
     nx, ny, nz = children.shape
+    rows = np.empty(8, np.int64)
     for number in range(begin, end):
         row = base + number
-        rows = np.empty(8, np.int64)
         for c in range(8):
             x, y, z = 2 * cells[number, 0] + (c & 1), 2 * cells[number, 1] + ((c >> 1) & 1), 2 * cells[number, 2] + (c >> 2)
             rows[c] = children[x, y, z] if x < nx and y < ny and z < nz else -1
