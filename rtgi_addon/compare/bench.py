@@ -131,6 +131,21 @@ def _measure_in_child(request: dict[str, Any]) -> dict[str, Any]:
         return json.loads(record.read_text(encoding="utf-8"))
 
 
+def checked_places(scenes: Sequence[str | Path], out_dir: str | Path, repeats: int) -> tuple[Path, list[Path]]:
+    """(folder for the results, which is made, absolute paths of the scenes); InputError for what can't be measured."""
+    out, paths = Path(out_dir), [Path(scene).resolve() for scene in scenes]
+    for path in paths:
+        if not path.is_file():
+            raise InputError(f"there is no file {path}; check the name and the folder")
+    if repeats < 1:
+        raise InputError(f"repeats must be 1 or more, got {repeats}")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {out}: {error.strerror}; choose another place") from error
+    return out, paths
+
+
 def bench(scenes: Sequence[str | Path], out_dir: str | Path, size: tuple[int, int] = SIZE, repeats: int = REPEATS,
           samples: int = SAMPLES, presets: Sequence[str] | None = None, peers: Sequence[int] = PEER_SAMPLES,
           threads: int = 0, reference: str | Path | None = None) -> list[dict[str, Any]]:
@@ -161,25 +176,15 @@ def bench(scenes: Sequence[str | Path], out_dir: str | Path, size: tuple[int, in
     RtgiError
         A scene could not be measured; those before it are in results.jsonl.
     """
-    out = Path(out_dir)
-    paths = [Path(scene) for scene in scenes]
-    if not paths:
+    if not scenes:
         raise InputError("no scene was named; write rtgi bench SCENE.blend -o DIR")
-    for path in paths:
-        if not path.is_file():
-            raise InputError(f"there is no file {path}; check the name and the folder")
-    if repeats < 1:
-        raise InputError(f"repeats must be 1 or more, got {repeats}")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {out}: {error.strerror}; choose another place") from error
+    out, paths = checked_places(scenes, out_dir, repeats)
     wanted = list(presets) if presets is not None else [name for name, _, _ in PRESETS]
     records: list[dict[str, Any]] = []
     with (out / "results.jsonl").open("w", encoding="utf-8") as lines:
         for path in paths:
             records.append(_measure_in_child({
-                "path": str(path.resolve()), "cache": str((out / "references").resolve()), "size": list(size),
+                "path": str(path), "cache": str((out / "references").resolve()), "size": list(size),
                 "repeats": repeats, "samples": samples, "presets": wanted, "peers": list(peers), "threads": threads,
                 "given": str(Path(reference).resolve()) if reference is not None else ""}))
             lines.write(json.dumps(records[-1]) + "\n")

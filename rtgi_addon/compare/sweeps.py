@@ -25,7 +25,7 @@ from ..core.settings import PRESETS
 from ..core.techniques import optional_techniques
 from ..errors import InputError
 from ..pipeline import versions
-from .bench import MAIN_PRESET, REPEATS, SAMPLES, SIZE, processor
+from .bench import MAIN_PRESET, REPEATS, SAMPLES, SIZE, checked_places, processor
 from .child import child_command, child_environment, end
 from .measure import errors_of, floors_of, picture_errors
 from .progress import Progress, say
@@ -267,18 +267,9 @@ def sweep(scenes: Sequence[str | Path], out_dir: str | Path, axes: Sequence[str]
         No such axis or scene, no scene for an axis that needs one, or an output folder that cannot be made.
     """
     check_axes(axes)
-    out, paths = Path(out_dir), [Path(scene).resolve() for scene in scenes]
-    for path in paths:
-        if not path.is_file():
-            raise InputError(f"there is no file {path}; check the name and the folder")
-    if not paths and set(axes) - set(ROOM_AXES):
+    if not scenes and set(axes) - set(ROOM_AXES):
         raise InputError(f"no scene was named; only {' and '.join(ROOM_AXES)} need none")
-    if repeats < 1:
-        raise InputError(f"repeats must be 1 or more, got {repeats}")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {out}: {error.strerror}; choose another place") from error
+    out, paths = checked_places(scenes, out_dir, repeats)
     from . import reference as blender
 
     machine = machine_now(blender.blender_version())
