@@ -12,30 +12,24 @@ from rtgi_addon.core.mending import mend_frame
 from rtgi_addon.core.params import Params
 from rtgi_addon.core.radiometry import texel_flux
 from rtgi_addon.core.synthetic import cast_view, make_room_frame
-from rtgi_addon.core.techniques import (
-    DirectParams,
-    EmissionParams,
-    FinalGatherParams,
-    HbaoParams,
-    LpvParams,
-    RsmParams,
-    SsaoParams,
-    SsdoParams,
-    SsrParams,
-    VxgiParams,
-    WorldParams,
-)
+from rtgi_addon.core.techniques import TECHNIQUE_PARAMS
 from rtgi_addon.passes import TECHNIQUES
 from rtgi_addon.passes.base import Context, PassResult
 from tests.plane_frames import geometry_of, quad
 
+
+def params_with(**changes: dict[str, object]) -> dict[str, Params]:
+    """The parameters of every technique, with the changes named by technique."""
+    return {name: kind(**changes.get(name, {})) for name, kind in TECHNIQUE_PARAMS.items()}
+
+
 # the smallest numbers that still run every kernel
-CHEAP: dict[str, Params] = {
-    "direct": DirectParams(soft_shadow_rays=4), "world": WorldParams(rays=8, lattice_px=2),
-    "rsm": RsmParams(rays=8, clusters=16, lattice_px=2), "vxgi": VxgiParams(resolution=16, cones=8, lattice_px=2),
-    "emission": EmissionParams(rays=8, clusters=16, lattice_px=2), "final_gather": FinalGatherParams(rays=8, lattice_px=2),
-    "hbao": HbaoParams(steps=4), "ssao": SsaoParams(samples=8), "ssdo": SsdoParams(steps=4),
-    "lpv": LpvParams(resolution=8, directions=2, lattice_px=2), "ssr": SsrParams(samples=4, lattice_px=2)}
+CHEAP = params_with(
+    direct={"soft_shadow_rays": 4}, world={"rays": 8, "lattice_px": 2},
+    rsm={"rays": 8, "clusters": 16, "lattice_px": 2}, vxgi={"resolution": 16, "cones": 8, "lattice_px": 2},
+    emission={"rays": 8, "clusters": 16, "lattice_px": 2}, final_gather={"rays": 8, "lattice_px": 2},
+    hbao={"steps": 4}, ssao={"samples": 8}, ssdo={"steps": 4}, lpv={"resolution": 8, "directions": 2, "lattice_px": 2},
+    ssr={"samples": 4, "lattice_px": 2})
 SIZE = (16, 12)
 
 

@@ -12,24 +12,10 @@ import numpy as np
 import pytest
 
 from rtgi_addon.core.frame import Frame, LightKind, World
-from rtgi_addon.core.params import Params
 from rtgi_addon.core.synthetic import make_room_frame
-from rtgi_addon.core.techniques import (
-    DirectParams,
-    EmissionParams,
-    FinalGatherParams,
-    HbaoParams,
-    LpvParams,
-    RsmParams,
-    SsaoParams,
-    SsdoParams,
-    SsrParams,
-    VxgiParams,
-    WorldParams,
-)
 from rtgi_addon.passes import TECHNIQUES
 from rtgi_addon.passes.base import Transport
-from tests.hard_frames import powered, run
+from tests.hard_frames import params_with, powered, run
 from tests.moved_frames import MIRROR, QUARTER, moved, turn
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -37,14 +23,12 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 # The radius of the screen techniques is given: one that is taken from the scene's size follows a box along the axes, which
 # is another box when the scene is turned, and 7 % of their light with it.
 RADIUS_M = 0.8
-FINE: dict[str, Params] = {
-    "direct": DirectParams(), "world": WorldParams(rays=512, lattice_px=1),
-    "rsm": RsmParams(rays=256, clusters=64, lattice_px=1), "vxgi": VxgiParams(resolution=24, lattice_px=1, cones=512),
-    "emission": EmissionParams(rays=512, clusters=64, lattice_px=1),
-    "final_gather": FinalGatherParams(rays=256, lattice_px=1),
-    "hbao": HbaoParams(radius_m=RADIUS_M, slices=16, steps=16), "ssao": SsaoParams(radius_m=RADIUS_M, samples=256),
-    "ssdo": SsdoParams(radius_m=RADIUS_M, slices=16, steps=16, lattice_px=1), "lpv": LpvParams(resolution=16, lattice_px=1),
-    "ssr": SsrParams(samples=512, lattice_px=1)}
+FINE = params_with(
+    world={"rays": 512, "lattice_px": 1}, rsm={"rays": 256, "clusters": 64, "lattice_px": 1},
+    vxgi={"resolution": 24, "lattice_px": 1, "cones": 512}, emission={"rays": 512, "clusters": 64, "lattice_px": 1},
+    final_gather={"rays": 256, "lattice_px": 1}, hbao={"radius_m": RADIUS_M, "slices": 16, "steps": 16},
+    ssao={"radius_m": RADIUS_M, "samples": 256}, ssdo={"radius_m": RADIUS_M, "slices": 16, "steps": 16, "lattice_px": 1},
+    lpv={"resolution": 16, "lattice_px": 1}, ssr={"samples": 512, "lattice_px": 1})
 every_technique = pytest.mark.parametrize("name", FINE)
 
 ROUNDING = 2e-5             # sums of float32 whose terms have other digits
