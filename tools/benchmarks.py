@@ -61,8 +61,9 @@ def main() -> int:
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
+    command = f"python tools/benchmarks.py --size {words.size} --samples {words.samples} --repeats {words.repeats}"
     sweep_page.write_page(lines, words.output, words.output.parent / "images" / "benchmarks",
-                          sweep_page.HEAD.format(command="python tools/benchmarks.py", repeats=words.repeats))
+                          sweep_page.HEAD.format(command=command, repeats=words.repeats))
     print(sweep_page.summary(lines))
     print(words.output)
     return 0

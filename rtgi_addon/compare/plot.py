@@ -110,7 +110,9 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
     if not shown:
         return ""
     errors = [p.error for p in shown] + ([noise] if noise else [])
-    x, y = _Axis([p.seconds for p in shown], _LEFT, _WIDTH - _RIGHT), _Axis(errors, _HEIGHT - _BOTTOM, _TOP)
+    curves = list(dict.fromkeys(p.curve for p in shown if p.curve))
+    below_legend = _TOP + 20 * (len(curves) + 1)
+    x, y = _Axis([p.seconds for p in shown], _LEFT, _WIDTH - _RIGHT), _Axis(errors, _HEIGHT - _BOTTOM, below_legend)
     parts = _paper("Speed against error", x, y, "seconds a frame", "error of the picture", lambda e: f"{100 * e:g} %")
     taken: list[tuple[float, float, float, float]] = []
     if noise:
@@ -122,7 +124,6 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
                      *(f"{x(p.seconds):.1f}V{y(p.error):.1f}" for p in front[1:])])
     parts.append(f'<path d="{path}H{_WIDTH - _RIGHT}" stroke="{_INK}" stroke-opacity=".35" stroke-width="6" fill="none"/>')
     wanted = []
-    curves = list(dict.fromkeys(p.curve for p in shown if p.curve))
     for number, name in enumerate(curves):
         line = sorted((p for p in shown if p.curve == name), key=lambda p: p.seconds)
         colour = _CURVE_COLOURS[number % 2]
@@ -146,7 +147,7 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
             parts.append(f'<path d="M{_WIDTH - 295} {row}h20" stroke="{_INK}" stroke-opacity=".35" stroke-width="6"/>')
         said = f"{name}, samples beside it" if name in curves else name
         parts.append(f'<text x="{_WIDTH - 270}" y="{row + 4}" fill="{_INK}" {_HALO}>{escape(said)}</text>')
-    taken.append((_WIDTH - 300, _TOP, _WIDTH, _TOP + 20 * (len(curves) + 1)))
+    taken.append((_WIDTH - 300, _TOP, _WIDTH, below_legend))
     parts += _placed(wanted, taken)
     return "\n".join([*parts, "</svg>"])
 
