@@ -9,6 +9,7 @@ import argparse
 import dataclasses
 import difflib
 import json
+import math
 import re
 import sys
 import tempfile
@@ -35,6 +36,8 @@ examples:
       through the scene's view transform, with times, plan and warnings as JSON
   rtgi render door.blend -o frames/door_####.exr --frames 1-20 --skip-existing
       an animation; run it again to go on where it was stopped
+  rtgi render room.blend -o room.png --target-time 1s
+      the best settings for a time, or with --target-error 2% the fastest for an error, by docs/calibration.md
   rtgi compare room.blend -o room_compared
       error against Cycles one-bounce, one row a technique
   rtgi doctor
@@ -114,15 +117,27 @@ def parse_peers(text: str) -> tuple[list[int], bool]:
     return sorted({int(word) for word in words if word != "eevee"}), "eevee" in words
 
 
-def parse_noise(text: str) -> float:
-    """"1%" or "0.01" to 0.01; InputError unless it lies between 0 and 100 %."""
+def parse_share(text: str, option: str, what: str) -> float:
+    """"1%" or "0.01" to 0.01; InputError that says `what` it is not, unless it lies between 0 and 100 %."""
     match = re.fullmatch(r"([0-9.eE+-]+)\s*(%?)", text.strip())
     try:
         value = float(match[1]) / (100 if match[2] else 1) if match else 0.0
     except ValueError:
         value = 0.0
     if not 0 < value < 1:
-        raise InputError(f"--noise {text} is no noise level; write for example 1% or 0.01")
+        raise InputError(f"{option} {text} is no {what}; write for example 1% or 0.01")
+    return value
+
+
+def parse_time(text: str) -> float:
+    """"1.5s", "800ms" or "1.5" to seconds; InputError for anything that is no time above zero."""
+    match = re.fullmatch(r"([0-9.eE+-]+)\s*(ms|s|)", text.strip())
+    try:
+        value = float(match[1]) / (1000 if match[2] == "ms" else 1) if match else 0.0
+    except ValueError:
+        value = 0.0
+    if not 0 < value < math.inf:
+        raise InputError(f"--target-time {text} is no time; write for example 1.5s or 800ms")
     return value
 
 
@@ -267,7 +282,11 @@ def settings_from_words(words: argparse.Namespace, before: Settings) -> Settings
     """The scene's own settings `before`, changed by what the command line says."""
     settings = before
     if words.preset is not None:
-        settings = dataclasses.replace(settings, preset=words.preset, params=preset_params(words.preset))
+        settings = dataclasses.replace(settings, preset=words.preset, params=preset_params(words.preset), target_time_s=0.0,
+                                       target_error=0.0)
+    if words.target_time is not None or words.target_error is not None:
+        settings = dataclasses.replace(settings, target_time_s=words.target_time or 0.0,
+                                       target_error=words.target_error or 0.0)
     if words.techniques is not None:
         names = parse_techniques(words.techniques)
         wanted = TECHNIQUE_PARAMS if names is None else (*ALWAYS_ON, *names)
@@ -347,6 +366,8 @@ def run_render(words: argparse.Namespace) -> int:
     size = parse_size(words.size) if words.size else None
     words.frames = parse_frames(words.frames) if words.frames else None
     words.preset = parse_preset(words.preset) if words.preset else None
+    words.target_time = parse_time(words.target_time) if words.target_time else None
+    words.target_error = (parse_share(words.target_error, "--target-error", "error") if words.target_error else None)
     if words.techniques:
         parse_techniques(words.techniques)
     check_output(words.output, (".exr", ".png"))
@@ -388,6 +409,8 @@ def run_render(words: argparse.Namespace) -> int:
         if done == 0:
             for warning in result.report["warnings"]:
                 _say(f"rtgi: warning: {warning}")
+            for choice in result.report["plan"]["budget"]:
+                _say(f"rtgi: {choice}")
     return DONE
 
 
@@ -461,7 +484,7 @@ def run_compare(words: argparse.Namespace) -> int:
     preset = parse_preset(words.preset) if words.preset else None
     techniques = parse_techniques(words.techniques) if words.techniques else None
     peers, eevee = parse_peers(words.peers)
-    noise = parse_noise(words.noise) if words.noise else None
+    noise = parse_share(words.noise, "--noise", "noise level") if words.noise else None
     if words.scene is not None:
         refuse_newer(Path(words.scene), (sys.maxsize, 0))
     bpy = _blender()
@@ -536,6 +559,11 @@ def _add_render(commands: Any) -> None:
                         help=".exr: the composite, linear float32; .png: by the scene's view transform; #### is the frame")
     parser.add_argument("--techniques", metavar="LIST", help="rsm, several with commas, or auto: what the scene needs")
     parser.add_argument("--preset", metavar="NAME", help="draft, balanced or quality")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--target-time", metavar="TIME",
+                        help="of a whole frame, such as 1.5s: the least error that was measured for what capture leaves of it")
+    budget.add_argument("--target-error", metavar="ERROR",
+                        help="of the picture, such as 2%%: the least time that was measured for it; both stand above a preset")
     parser.add_argument("--set", action="append", default=[], metavar="TECHNIQUE.NAME=VALUE",
                         help="one setting, such as rsm.rays=64; may be repeated; rtgi settings lists them")
     parser.add_argument("--size", metavar="WxH", help="picture size in px, such as 960x540")

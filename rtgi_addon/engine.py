@@ -185,13 +185,16 @@ class RTGIEngine(bpy.types.RenderEngine):
 
     def _render_with(self, context, depsgraph):
         global _last_result
-        from . import pipeline, planner
+        from . import budget, pipeline, planner
 
         scene = depsgraph.scene
         settings, stages = _settings_of(scene), pipeline.Stages()
+        settings.validate()
         frame, capture_plan = self._capture(depsgraph, settings, context, stages)
         plan = planner.plan_frame(frame, settings, capture_plan)
-        result = pipeline.run(frame, plan, settings, context, stages, scene.render.film_transparent)
+        speed = budget.speed_of(settings.threads) if settings.target_time_s else 1.0
+        choice = budget.within_budget(plan, settings, stages.total_ms, speed)
+        result = pipeline.run(frame, choice.plan, choice.settings, context, stages, scene.render.film_transparent)
         context.checkpoint("Write result", 1.0)
         result.combined[..., :3] *= scene.cycles.film_exposure
         with stages("write"):
@@ -199,6 +202,7 @@ class RTGIEngine(bpy.types.RenderEngine):
             _last_result = result
             _publish_image()
         result.report["stages"], result.report["total_ms"] = stages.to_json(), round(stages.total_ms, 2)
+        budget.learn(choice, result.report["stages"], settings.threads)
         result.report["versions"]["blender"] = bpy.app.version_string
         for line in frame.warnings:
             self.report({"INFO"}, line)

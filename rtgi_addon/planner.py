@@ -46,21 +46,18 @@ class CapturePlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """The techniques that run, in order, and (what, why) of everything left out."""
+    """The techniques that run, in order, (what, why) of everything left out, and what a `budget` chose, in words."""
 
     techniques: tuple[str, ...]
     left_out: tuple[tuple[str, str], ...] = ()
     facts: dict[str, float] = field(default_factory=dict)
+    budget: tuple[str, ...] = ()
 
     def to_json(self) -> dict:
         """As the report's `plan`."""
         return {"runs": [{"technique": name, "label": TECHNIQUES[name].label} for name in self.techniques],
-                "left_out": [{"what": what, "why": why} for what, why in self.left_out], "facts": self.facts}
-
-    def words(self) -> list[str]:
-        """One line a decision."""
-        return ([f"{TECHNIQUES[name].label} runs" for name in self.techniques]
-                + [f"{what} left out: {why}" for what, why in self.left_out])
+                "left_out": [{"what": what, "why": why} for what, why in self.left_out], "facts": self.facts,
+                "budget": list(self.budget)}
 
 
 def reach_of(light: Light, centre_ws: np.ndarray, radius_m: float) -> float:
@@ -93,7 +90,8 @@ def plan_frame(frame: Frame, settings: Settings, capture: CapturePlan) -> Plan:
     """Which enabled techniques this frame needs."""
     left_out = list(capture.left_out)
     mask = frame.gbuffer.mask
-    facts = {"surface_share": float(mask.mean()), "lights": len(frame.lights), "light_views": len(frame.views),
+    facts = {"surface_pixels": int(mask.sum()), "surface_share": float(mask.mean()), "lights": len(frame.lights),
+             "light_views": len(frame.views),
              "triangles": len(frame.geometry) if frame.geometry is not None else 0,
              "glossy_share": float((frame.gbuffer.specular.max(-1) > 0).mean())}
     chosen, owner = set(), {}

@@ -183,8 +183,10 @@ def _plan(report: dict[str, Any]) -> str:
     plan = report.get("plan", {})
     ran = ", ".join(escape(item["label"]) for item in plan.get("runs", ()))
     left = "".join(f"<li>{escape(item['what'])}: {escape(item['why'])}.</li>" for item in plan.get("left_out", ()))
+    budget = "".join(f"<li>{escape(text)}.</li>" for text in plan.get("budget", ()))
     warned = "".join(f"<li>{escape(text)}</li>" for text in report.get("warnings", ()))
     return ((f"<p>In this order: {ran}.</p>" if ran else "") + (f"<p>Left out:</p><ul>{left}</ul>" if left else "")
+            + (f"<p>Chosen by the budget:</p><ul>{budget}</ul>" if budget else "")
             + (f"<p>Warnings:</p><ul>{warned}</ul>" if warned else ""))
 
 

@@ -35,10 +35,11 @@ HEAD = ("", "time", "direct", "bounce", "glossy bounce", "picture", "too bright"
 
 
 def settings_for(before: Settings, preset: str | None, techniques: Sequence[str] | None) -> Settings:
-    """`before` with a preset's parameters and exactly these techniques (None: as they are)."""
+    """`before` with a preset's parameters and without a budget, and with exactly these techniques (None: as they are)."""
     settings = before
     if preset is not None:
-        settings = dataclasses.replace(settings, preset=preset, params=preset_params(preset))
+        settings = dataclasses.replace(settings, preset=preset, params=preset_params(preset), target_time_s=0.0,
+                                       target_error=0.0)
     if techniques is not None:
         for name in techniques:
             if name not in TECHNIQUE_PARAMS:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +23,8 @@ class Settings:
 
     `enabled` and `params` are by technique name. With `use_auto` the planner chooses among the enabled techniques and
     leaves out what the frame does not need; without it every enabled technique runs. `threads` 0 means all.
+    `target_time_s` of a whole frame, or `target_error` of the picture as a share of its light, lets `budget` choose the
+    parameters that a preset decides; 0 is none.
     """
 
     preset: str = "BALANCED"
@@ -30,6 +33,8 @@ class Settings:
     params: dict[str, Params] = field(default_factory=dict)
     threads: int = 0
     seed: int = 0
+    target_time_s: float = 0.0
+    target_error: float = 0.0
 
     def with_params(self, technique: str, **changes: Any) -> Settings:
         """A copy in which some parameters of one technique differ."""
@@ -42,5 +47,10 @@ class Settings:
         """Raise InputError for the first setting out of range."""
         if self.preset not in [p[0] for p in PRESETS]:
             raise InputError(f"preset must be one of {', '.join(p[0].lower() for p in PRESETS)}, got {self.preset!r}")
+        if self.target_time_s and self.target_error:
+            raise InputError("a budget is a target time or a target error, not both; set one of them to 0")
+        if not (0 <= self.target_time_s < math.inf and 0 <= self.target_error < 1):
+            raise InputError("a target time must be 0 s or more, a target error from 0 to less than 100 %, got "
+                             f"{self.target_time_s:g} s and {100 * self.target_error:g} %")
         for name, params in self.params.items():
             params.validate(name)

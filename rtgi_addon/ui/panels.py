@@ -132,6 +132,7 @@ class RTGI_PT_quality(_RenderPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, group = self.layout, context.scene.rtgi
         row = layout.row(align=True)
+        row.active = group.budget == "NONE"
         row.prop(group, "preset", expand=True)
         if props.differs_from_preset(group):
             row = layout.row()
@@ -139,6 +140,9 @@ class RTGI_PT_quality(_RenderPanel, bpy.types.Panel):
             row.operator("rtgi.reset_to_preset", icon="LOOP_BACK")
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
+        column.prop(group, "budget")
+        if group.budget != "NONE":
+            column.prop(group, "target_time_s" if group.budget == "TIME" else "target_error_percent")
         column.prop(group, "use_auto")
         column.prop(group, "seed")
         if not tasks.draw_running(layout, tasks.RTGI_OT_warm_up.bl_label) and not has_kernels():
@@ -191,11 +195,12 @@ TECHNIQUE_PANELS = {name: _technique_panel(name) for name in TECHNIQUE_PARAMS}
 
 
 def plan_lines(plan: dict) -> Iterator[str]:
-    """The plan of a report in words: what ran, then what was left out and why."""
+    """The plan of a report in words: what ran, what was left out and why, and what a budget chose."""
     for run in plan["runs"]:
         yield f"{run['label']} ran"
     for item in plan["left_out"]:
         yield f"{item['what']} left out: {item['why']}"
+    yield from plan["budget"]
 
 
 class RTGI_PT_last_render(_RenderPanel, bpy.types.Panel):

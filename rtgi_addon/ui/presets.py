@@ -30,7 +30,8 @@ class RTGI_OT_preset_add(AddPresetBase, bpy.types.Operator):
     preset_subdir = FOLDER
     preset_defines = ["rtgi = bpy.context.scene.rtgi"]
     # the preset first: it sets values that those after it then overwrite. A new technique's group comes by itself
-    preset_values = ["rtgi.preset", "rtgi.use_auto", *(f"rtgi.use_{name}" for name in optional_techniques()),
+    preset_values = ["rtgi.preset", "rtgi.use_auto", "rtgi.budget", "rtgi.target_time_s",
+                     "rtgi.target_error_percent", *(f"rtgi.use_{name}" for name in optional_techniques()),
                      *(f"rtgi.{name}" for name in TECHNIQUE_PARAMS)]
 
 

@@ -214,10 +214,10 @@ def test_peers_that_are_none_are_refused(text):
 
 @pytest.mark.parametrize(("text", "level"), [("1%", 0.01), ("0.5 %", 0.005), ("0.02", 0.02), ("1e-3", 0.001)])
 def test_noise_level_is_a_share_or_percent(text, level):
-    assert cli.parse_noise(text) == pytest.approx(level, rel=1e-12)
+    assert cli.parse_share(text, "--noise", "noise level") == pytest.approx(level, rel=1e-12)
 
 
 @pytest.mark.parametrize("text", ["", "0", "-1%", "100%", "low", "1%%", "nan", "1e%"])
 def test_noise_level_that_is_none_is_refused(text):
     with pytest.raises(InputError, match="--noise"):
-        cli.parse_noise(text)
+        cli.parse_share(text, "--noise", "noise level")
