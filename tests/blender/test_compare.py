@@ -52,7 +52,7 @@ def test_compare_writes_a_page_a_csv_a_plot_and_each_picture(compared):
     outcome, out, _ = compared
     assert (out / "compare.html").read_text(encoding="utf-8").count('<tr data-name=') == len(outcome["rows"])
     assert len((out / "compare.csv").read_text().splitlines()) == 1 + len(outcome["rows"])
-    assert (out / "speed_error.svg").read_text().startswith("<svg")
+    assert (out / "speed_error.svg").read_text(encoding="utf-8").startswith("<svg")
     names = {path.name for path in (out / "pictures").iterdir()}
     assert {"reference.png", "rtgi.png", "rtgi_error.png", "cycles_1_denoiser.png", "cycles_1_denoiser_error.png"} <= names
     assert len(names) == 1 + 2 * len(outcome["rows"])
