@@ -18,8 +18,8 @@ from xml.dom import minidom
 
 from .pareto import Point, crossing_point, pareto_front
 
-MISSING = ("The plot needs matplotlib, which Blender does not bring. It is drawn by the same command outside Blender: "
-           "python -m rtgi_addon, in the environment that ./demo sets up, or where pip install matplotlib was run.")
+MISSING = ("The plot needs matplotlib, which Blender does not bring. rtgi compare and rtgi bench draw it outside Blender, "
+           "by python -m rtgi_addon in the environment that ./demo sets up, or in any other after pip install matplotlib.")
 _WIDTH_PX, _HEIGHT_PX = 900, 480
 _PX_PER_INCH = 96           # of CSS
 _STYLE = {
