@@ -25,7 +25,8 @@ _PX_PER_INCH = 96           # of CSS
 _STYLE = {
     # the font that matplotlib carries measures the same on every machine; the other is for a browser without it
     "font.family": ["DejaVu Sans", "sans-serif"], "font.sans-serif": ["DejaVu Sans"], "font.size": 9.5,
-    "svg.fonttype": "none", "axes.grid": True, "axes.edgecolor": "#999", "grid.color": "#ddd", "text.color": "#222",
+    "svg.fonttype": "none", "text.parse_math": False,
+    "axes.grid": True, "axes.edgecolor": "#999", "grid.color": "#ddd", "text.color": "#222",
     "xtick.color": "#222", "ytick.color": "#222", "axes.labelcolor": "#222", "axes.axisbelow": True, "legend.frameon": False,
     "figure.dpi": 72}       # an SVG's unit is a point, so that labels are measured in it
 _INK, _OWN, _OTHER = "#222", "#2a5bd7", "#7b6fa8"
@@ -186,7 +187,8 @@ def speed_error_svg(points: Sequence[Point], own: str, noise: float | None = Non
             if point.name == own and not point.curve:
                 colour, marker, size = _OWN, "*", 3.5 * _MARKER_PT
             gid = f"point {number}"
-            axes.plot(point.seconds, point.error, color=colour, marker=marker, markersize=size, gid=gid, zorder=3)
+            axes.plot(point.seconds, point.error, color=colour, marker=marker, markersize=size, gid=gid,
+                      zorder=3.5 if point.name == own else 3)
             hover[gid] = f"{point.name}: {point.seconds:.3g} s, {100 * point.error:.3g} %"
             wanted.append((point.seconds, point.error, _label(point)))
         if noise:
