@@ -136,6 +136,7 @@ class _Pixels(NamedTuple):
     normal: np.ndarray
     specular: np.ndarray
     roughness: np.ndarray
+    f0: np.ndarray
     eye: np.ndarray
     eye_span: np.float32
     is_parallel: bool
@@ -208,7 +209,8 @@ def _pack_pixels(frame: Frame) -> _Pixels:
                                   for a in (g.position_ws, g.normal_ws, g.specular))
     is_parallel = camera.projection is Projection.ORTHOGRAPHIC
     eye = camera.world_from_view[:3, 2] if is_parallel else camera.position_ws
-    return _Pixels(position, normal, specular, np.ascontiguousarray(g.roughness.ravel(), np.float32), np.float32([eye]),
+    roughness, f0 = (np.ascontiguousarray(a.ravel(), np.float32) for a in (g.roughness, g.f0))
+    return _Pixels(position, normal, specular, roughness, f0, np.float32([eye]),
                    f32(np.abs(camera.position_ws).max()), is_parallel, albedo_table(frame.keeps_energy))
 
 
@@ -290,7 +292,7 @@ def _lobe_of(q, pixels, n, viewer):
     alpha = pixels.roughness[q] * pixels.roughness[q]
     if reflectance <= ZERO:
         return False, alpha, ZERO, ZERO
-    f0, gain = fit_lobe(reflectance, max(dot(n, viewer), ZERO), alpha, pixels.albedos)
+    f0, gain = fit_lobe(reflectance, max(dot(n, viewer), ZERO), alpha, pixels.albedos, pixels.f0[q])
     return True, alpha, f0, gain
 
 
