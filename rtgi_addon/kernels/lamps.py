@@ -25,6 +25,7 @@ HALF = f32(0.5)
 NEAR = f32(0.1)             # half size over distance above which an area light is summed in closed form
 WIDE = f32(0.3)             # half size over distance above which a lamp that sets behind the surface is no flat disk
 TINY = f32(0.004)           # half size over distance below which the centre stands for the shape
+SMALL = f32(0.03)           # the same where no sharp lobe sees the shape: what it misses goes with the square
 GAUSS = f32(0.57735027)     # node of the two-point Gauss rule on [-1, 1]
 POLYGON = 16                # sides of the polygon that stands for an ellipse; of equal area, 0.03 % at most
 AREA_SAMPLES = 64           # of the sums that have no closed form
@@ -33,6 +34,7 @@ LEAST_ALPHA = f32(0.006)    # sharper lobes are below float32's resolution of th
 SHARP = f32(0.25)           # alpha over apparent half size below which rays of the lobe tell what it reflects of a lamp
 SHARP_RAYS = 16
 MIRROR_ALPHA = f32(1e-3)    # one ray tells
+MINOR_LOBE = f32(0.03)      # of the light of a white matt surface: less of it need not be known to a tenth
 TAIL = f32(24)              # alphas from its mirror direction beyond which a lobe holds less than a fiftieth of a percent
 
 
@@ -283,12 +285,39 @@ def _reflected(lamp, p, n, viewer, axis, size, alpha, f0, shift_u, shift_v):
 
 
 @device_jit
-def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
+def may_reach(lamp, p, n):
+    """False where a lamp surely sends nothing: behind the surface, behind the lamp, outside a spot's cone. Cheap."""
+    direction = load(lamp.places, DIRECTION)
+    if lamp.kind == SUN_LAMP:
+        return dot(n, direction) < lamp.half_x
+    to, reach = sub(load(lamp.places, POSITION), p), f32(1.5) * max(lamp.half_x, lamp.half_y)
+    if dot(n, to) < -reach:
+        return False
+    along_axis = -dot(direction, to)
+    if lamp.kind >= RECTANGLE_LAMP:
+        return along_axis > ZERO
+    return lamp.spot_scale == ZERO or along_axis > lamp.spot_edge * length(to) - f32(1.5) * reach
+
+
+@device_jit
+def _from_centre(lamp, p, n, viewer, alpha, f0, is_glossy):
+    """(irradiance, integral of radiance x glossy lobe) as if the lamp's centre sent all of its light."""
+    d, weight = lamp_at(lamp, p, ZERO, ZERO)
+    unit = normalized_or(d, n)
+    cosine = dot(n, unit)
+    if not weight > ZERO or not cosine > ZERO:
+        return ZERO, ZERO
+    return weight * cosine, weight * ggx_lobe(n, viewer, unit, alpha * alpha, f0) if is_glossy else ZERO
+
+
+@device_jit
+def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, shift_v):
     """(irradiance, integral of radiance x glossy lobe) at p from a lamp of unit strength, nothing standing between.
 
     One sample serves a lamp that looks tiny, four a small one, and many an area light that looks large or is narrow; the
     lobe is widened by the part of the lamp that a sample stands for. Large Lambertian areas have a closed form. A lobe that
-    is narrow beside the lamp shows its shape.
+    is narrow beside the lamp shows its shape. `reflectance` is what its colour multiplies the lobe with, 0 for none. Of a lamp
+    that `is_faint` beside others the centre stands for all, and so it does in a lobe that adds little to the matt light.
     """
     size = apparent_size(lamp, p)
     is_area = lamp.kind >= RECTANGLE_LAMP
@@ -302,7 +331,14 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
     height = dot(n, axis)
     if height < -size and not is_area:
         return ZERO, ZERO
+    is_glossy = reflectance > ZERO
+    wide_alpha = max(max(alpha, HALF * min(size, ONE)), LEAST_ALPHA)
+    if is_faint:
+        return _from_centre(lamp, p, n, viewer, wide_alpha, f0, is_glossy)
     glossy = ZERO
+    if is_glossy and height > size:
+        diffuse, glossy = _from_centre(lamp, p, n, viewer, wide_alpha, f0, True)
+        is_glossy = reflectance * glossy > MINOR_LOBE * INV_PI * diffuse
     if is_glossy and alpha < SHARP * min(size, f32(0.2)):
         glossy = _reflected(lamp, p, n, viewer, axis, size, alpha, f0, shift_u, shift_v)
         is_glossy = False
@@ -315,11 +351,14 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
             count = 0
         elif is_closed and alpha >= f32(0.25) * min(size, ONE):      # only the lobe asks, and it is wider than its parts
             count = FEW_AREA_SAMPLES
-    elif size < TINY and not is_area and not sets:
+    elif not sets and (size < TINY and not is_area or size < SMALL and height > size
+                       and not (is_glossy and alpha < f32(6) * size)):
         count, widening = 1, HALF * size
     alpha = max(max(alpha, widening), LEAST_ALPHA)
     node = GAUSS if lamp.kind == RECTANGLE_LAMP else HALF
     diffuse, carried = ZERO, ZERO
+    if is_glossy:
+        glossy = ZERO
     for i in range(count):
         x, y, share = ZERO, ZERO, ONE
         if count >= FEW_AREA_SAMPLES:
