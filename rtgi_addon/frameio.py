@@ -55,7 +55,7 @@ def _take(file: Any, prefix: str, kind: type, **parts: Any) -> Any:
 
 def _take_gbuffer(file: Any, prefix: str) -> GBuffer:
     # files from before materials told it hold none
-    return _take(file, prefix, GBuffer, f0=file[f"{prefix}.f0"] if f"{prefix}.f0" in file else None)
+    return _take(file, prefix, GBuffer, f0=file.get(f"{prefix}.f0"))
 
 
 def _take_geometry(file: Any) -> Geometry:

@@ -194,7 +194,8 @@ class SurfaceReader:
         diffuse = base * (1 - metallic) * (1 - transmission) * (1 - taken)
         specular = base * metallic + (1 - metallic) * taken * tint
         emission = values.colour(node, "Emission Color") * values.scalar(node, "Emission Strength")
-        surface = Surface.of(diffuse, specular, roughness, emission, f0=np.where(metallic > 0, 0, np.maximum(f0 * tint.mean(1, keepdims=True), 1e-4)))
+        known = np.where(metallic > 0, 0, np.maximum(f0 * tint.mean(1, keepdims=True), 1e-4))
+        surface = Surface.of(diffuse, specular, roughness, emission, f0=known)
         if coat.max() > 0:
             coat_roughness = np.clip(values.scalar(node, "Coat Roughness"), 0, 1)
             coat_f0 = normal_reflectance(values.scalar(node, "Coat IOR"))

@@ -154,9 +154,10 @@ def matt_share(reflectance, cos_fixed, alpha, f0, albedos, means):
 def fit_lobe(reflectance, cos_fixed, alpha, albedos, known=ZERO):
     """(F0, gain) of a lobe that reflects `reflectance` towards `fixed`; `albedos` is `albedo_table()`.
 
-    The gain is 1 / (hemispherical integral of `ggx_lobe`). F0 is `known` where that is above 0. Else the reflectance has
-    to tell it: with r the share of the lobe that Fresnel's rise takes, reflectance = F0 + (1 - F0) r. The two terms are hard to tell apart, so what comes out like a dielectric is taken as
-    one of index 1.5 (measured: closer to Cycles than the solution); above an F0 of 0.2, which only metals have, it stands.
+    The gain is 1 / (hemispherical integral of `ggx_lobe`). F0 is `known` where that is above 0. Else the reflectance
+    has to tell it: with r the share of the lobe that Fresnel's rise takes, reflectance = F0 + (1 - F0) r. The two
+    terms are hard to tell apart, so what comes out like a dielectric is taken as one of index 1.5 (measured: closer to
+    Cycles than the solution); above an F0 of 0.2, which only metals have, it stands.
     """
     flat, rise = lobe_albedos(albedos, cos_fixed, alpha)
     r = min(rise / max(flat, f32(1e-3)), f32(0.9))

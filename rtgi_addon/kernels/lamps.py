@@ -34,7 +34,8 @@ LEAST_ALPHA = f32(0.006)    # sharper lobes are below float32's resolution of th
 SHARP = f32(0.25)           # alpha over apparent half size below which rays of the lobe tell what it reflects of a lamp
 SHARP_RAYS = 16
 MIRROR_ALPHA = f32(1e-3)    # one ray tells
-MINOR_LOBE = f32(0.03)      # of the light of a white matt surface: less of it need not be known to a tenth
+MINOR_LOBE = f32(0.02)      # of the light of a white matt surface: less of it need not be known to a tenth
+METALS = f32(0.3)           # reflectance from which a surface may have nothing but its lobe
 TAIL = f32(24)              # alphas from its mirror direction beyond which a lobe holds less than a fiftieth of a percent
 
 
@@ -316,8 +317,8 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
 
     One sample serves a lamp that looks tiny, four a small one, and many an area light that looks large or is narrow; the
     lobe is widened by the part of the lamp that a sample stands for. Large Lambertian areas have a closed form. A lobe that
-    is narrow beside the lamp shows its shape. `reflectance` is what its colour multiplies the lobe with, 0 for none. Of a lamp
-    that `is_faint` beside others the centre stands for all, and so it does in a lobe that adds little to the matt light.
+    is narrow beside the lamp shows its shape. `reflectance` is what a colour multiplies the lobe with, 0 for none. Of a
+    lamp that `is_faint` beside others the centre stands for all, and so it does in a lobe that adds little to matt light.
     """
     size = apparent_size(lamp, p)
     is_area = lamp.kind >= RECTANGLE_LAMP
@@ -336,12 +337,12 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
     if is_faint:
         return _from_centre(lamp, p, n, viewer, wide_alpha, f0, is_glossy)
     glossy = ZERO
-    if is_glossy and height > size:
-        diffuse, glossy = _from_centre(lamp, p, n, viewer, wide_alpha, f0, True)
-        is_glossy = reflectance * glossy > MINOR_LOBE * INV_PI * diffuse
     if is_glossy and alpha < SHARP * min(size, f32(0.2)):
         glossy = _reflected(lamp, p, n, viewer, axis, size, alpha, f0, shift_u, shift_v)
         is_glossy = False
+    elif is_glossy and height > size and reflectance < METALS:
+        diffuse, glossy = _from_centre(lamp, p, n, viewer, wide_alpha, f0, True)
+        is_glossy = reflectance * glossy > MINOR_LOBE * INV_PI * diffuse
     count, widening = 4, f32(0.25) * size
     is_closed = is_area and lamp.spread_gain == ZERO and (size > NEAR or abs(height) < f32(2) * size)
     sets = not is_area and abs(height) < size

@@ -231,7 +231,8 @@ def follow_rays(begin, end, index, samples, s, pyramid, gloss, lights, rules, se
                 sent = gloss_of_lamps(
                     lights, hit, load_pixel(s.normal_ws, at_i, at_j), scaled(d, -ONE), view_vector(s, hit),
                     load_pixel(gloss.specular, at_i, at_j), gloss.roughness[at_i, at_j], gloss.f0[at_i, at_j],
-                    gloss.irradiance[at_i, at_j], gloss.albedos, uniform(index[m], k, seed + 1), uniform(index[m], k, seed + 2))
+                    gloss.irradiance[at_i, at_j], gloss.albedos, uniform(index[m], k, seed + 1),
+                    uniform(index[m], k, seed + 2))
                 for c in range(3):
                     rays.light[r, c] += sent[c]
                 if share > ZERO:

@@ -101,8 +101,9 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
             if share < ONE:
                 source = bvh.source[slot]
                 albedo, specular, roughness, f0 = _colours_at(around, gloss.albedos, source, a, b, -dot(n, d))
-                sent = light_of_lamps(bvh, lights, stack, p, n, scaled(d, -ONE), albedo, specular, roughness, f0, gloss.albedos,
-                                      rules.offset_m, uniform(q, 11, seed), uniform(q, 12, seed), uniform(q, 13, seed))
+                sent = light_of_lamps(bvh, lights, stack, p, n, scaled(d, -ONE), albedo, specular, roughness, f0,
+                                      gloss.albedos, rules.offset_m, uniform(q, 11, seed), uniform(q, 12, seed),
+                                      uniform(q, 13, seed))
                 other[0], other[1], other[2] = sent.x, sent.y, sent.z
                 if around.lights_up:
                     tangent, bitangent = tangent_frame(n)

@@ -45,7 +45,7 @@ NEGLIGIBLE_SHARE = f32(3e-4)    # of what other lamps could give: a lamp that ca
 ROUGH = f32(0.35)           # roughness from which no highlight outshines what a lamp gives to the diffuse lobe
 WITHOUT_BOUND = f32(1e30)
 # of what all lamps could give, at pixels that show no highlight of this one:
-FAINT_SHARE = f32(0.01)     # for less the map's own four texels tell the shadow, not rays
+FAINT_SHARE = f32(5e-3)     # for less the map's own four texels tell the shadow, not rays
 MINOR_SHARE = f32(0.1)      # for less one ray tells it, with noise in half shadows
 MIDDLE_SHARE = f32(0.3)     # for less half as many rays do
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -129,8 +129,8 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
 class _Pixels(NamedTuple):
     """The camera's pixels as kernels take them: (N, 3) and (N,) float32.
 
-    `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `eye_span` is the largest coordinate
-    of the camera's position. reflectance, f0 and gain: of the glossy lobe, see `brdf.fit_lobe`; reflectance is 0 without one.
+    `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `eye_span` is the largest coordinate of
+    the camera's position. reflectance, f0 and gain: of the glossy lobe, see `brdf.fit_lobe`; reflectance is 0 without one.
     """
 
     position: np.ndarray
@@ -213,7 +213,8 @@ def _pack_pixels(frame: Frame) -> _Pixels:
     eye = camera.world_from_view[:3, 2] if is_parallel else camera.position_ws
     roughness = np.ascontiguousarray(g.roughness.ravel(), np.float32)
     pixels = _Pixels(position, normal, specular, roughness, specular.max(1), g.f0.ravel().astype(np.float32),
-                     np.ones(len(position), np.float32), np.float32([eye]), f32(np.abs(camera.position_ws).max()), is_parallel)
+                     np.ones(len(position), np.float32), np.float32([eye]), f32(np.abs(camera.position_ws).max()),
+                     is_parallel)
     _fit_lobes(len(position), pixels, albedo_table(frame.keeps_energy))
     return pixels
 
@@ -319,9 +320,9 @@ def _light_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, test, strengt
     is_faint = False
     if strength < WITHOUT_BOUND:
         beyond = length(sub(load(lamp.places, lamps.POSITION), p)) - f32(1.5) * max(lamp.half_x, lamp.half_y)
-        if beyond > ZERO:
+        if beyond > ZERO and (pixels.roughness[q] >= ROUGH or pixels.reflectance[q] == ZERO):
             is_faint = strength < FAINT_SHARE * out.could[q] * beyond * beyond
-            if strength < NEGLIGIBLE_SHARE * out.could[q] * beyond * beyond and pixels.roughness[q] >= ROUGH:
+            if strength < NEGLIGIBLE_SHARE * out.could[q] * beyond * beyond:
                 return shadow.DARK
     viewer, distance = _viewer(pixels, p)
     alpha, reflectance = pixels.roughness[q] * pixels.roughness[q], pixels.reflectance[q]
