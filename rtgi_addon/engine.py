@@ -14,7 +14,7 @@ from .capture import world as capture_world
 from .capture.lights import lights_out, read_lights
 from .capture.needs import read_needs
 from .capture.unsupported import unsupported_warnings
-from .capture.versions import HAS_ROUGHNESS_PASS, pass_name
+from .capture.versions import pass_name
 from .capture.views import ViewCapture, full_sphere, main_camera, read_window, world_axes
 from .core.frame import Frame, World
 from .core.transforms import ViewFormat
@@ -149,7 +149,7 @@ class RTGIEngine(bpy.types.RenderEngine):
             self._open.callback(setattr, camera.data.dof, "use_dof", True)
         if scene.render.use_motion_blur:
             scene.render.use_motion_blur = False
-        if not HAS_ROUGHNESS_PASS:
+        if read_needs(depsgraph.scene).material_index:
             capture_materials.number_materials(depsgraph, self._materials)
         self._data = data
         self._open.enter_context(lights_out(depsgraph))
@@ -219,7 +219,7 @@ class RTGIEngine(bpy.types.RenderEngine):
         context.checkpoint("Read triangles", 0.0)
         with stages("triangles"):
             geometry = capture_geometry.read_geometry(depsgraph, self._materials, self._origin_ws, _geometry_cache)
-        views = ViewCapture(self, self._data, depsgraph, self._origin_ws, self._materials.roughness)
+        views = ViewCapture(self, self._data, depsgraph, self._origin_ws, self._materials)
         context.checkpoint("Camera view", 0.05)
         with stages("camera view"):
             self._raw = views.passes()
@@ -269,6 +269,10 @@ class RTGIEngine(bpy.types.RenderEngine):
         layer_name = depsgraph.view_layer.name
         height, width = frame.gbuffer.shape
         values = _output_values(frame, result, depsgraph.view_layer)
+        index = pass_name("Material Index")
+        if index in self._raw and read_needs(depsgraph.scene).material_index:
+            numbers = self._materials.pass_index
+            values[index] = numbers[np.clip(self._raw[index].astype(np.int32), 0, len(numbers) - 1)]
         target = self.begin_result(0, 0, width, height, layer=layer_name)
         for render_pass in target.layers[0].passes:
             array = values.get(render_pass.name, self._raw.get(render_pass.name))

@@ -53,6 +53,11 @@ def _take(file: Any, prefix: str, kind: type, **parts: Any) -> Any:
     return kind(**{name: file[f"{prefix}.{name}"] for name in names}, **parts)
 
 
+def _take_gbuffer(file: Any, prefix: str) -> GBuffer:
+    # files from before materials told it hold none
+    return _take(file, prefix, GBuffer, f0=file.get(f"{prefix}.f0"))
+
+
 def _take_geometry(file: Any) -> Geometry:
     # files from before there were cutouts hold none
     has_cutouts = "geometry.cutouts.row" in file
@@ -92,12 +97,12 @@ def load_frame(path: str | os.PathLike) -> Frame:
     if head["format"] != FORMAT:
         raise InputError(f"{os.fspath(path)} has frame format {head['format']}, this RTGI reads {FORMAT}; capture it again")
     with file:
-        views = tuple(LightView(v["light_index"], _camera_from_json(v["camera"]), _take(file, f"view{i}", GBuffer),
+        views = tuple(LightView(v["light_index"], _camera_from_json(v["camera"]), _take_gbuffer(file, f"view{i}"),
                                 file[f"view{i}.incident_flux"]) for i, v in enumerate(head["views"]))
         materials = tuple(Material(**{k: tuple(v) if isinstance(v, list) else v for k, v in m.items()})
                           for m in head["materials"])
         return Frame(
-            camera=_camera_from_json(head["camera"]), gbuffer=_take(file, "gbuffer", GBuffer),
+            camera=_camera_from_json(head["camera"]), gbuffer=_take_gbuffer(file, "gbuffer"),
             lights=tuple(_light_from_json(v) for v in head["lights"]), views=views,
             geometry=_take_geometry(file) if head["has_geometry"] else None, materials=materials,
             world=World(file["world"]), origin_ws=file["origin_ws"], warnings=tuple(head["warnings"]))

@@ -111,7 +111,7 @@ def cast_view(light_index: int, light: Light, camera: Camera, frame: Frame, bvh:
     shape = (camera.height_px, camera.width_px)
     position, normal = np.zeros((len(hit), 3), np.float32), np.tile(np.float32([0, 0, 1]), (len(hit), 1))
     albedo, specular, emission = (np.zeros((len(hit), 3), np.float32) for _ in range(3))
-    roughness = np.ones(len(hit), np.float32)
+    roughness, f0 = np.ones(len(hit), np.float32), np.zeros(len(hit), np.float32)
     if hit.any():
         geometry, of = frame.geometry, triangle[hit]
         position[hit] = origin[hit] + depth[hit, None] * direction[hit]
@@ -126,9 +126,10 @@ def cast_view(light_index: int, light: Light, camera: Camera, frame: Frame, bvh:
         index = np.clip(geometry.material[of], 0, len(materials) - 1)
         specular[hit] = np.array([np.divide(m.specular, max(m.alpha, 1e-3)) for m in materials], np.float32)[index]
         roughness[hit] = np.array([m.roughness for m in materials], np.float32)[index]
+        f0[hit] = np.array([m.f0 for m in materials], np.float32)[index]
     gbuffer = GBuffer(depth.reshape(shape), position.reshape(*shape, 3), normal.reshape(*shape, 3),
                       albedo.reshape(*shape, 3), specular.reshape(*shape, 3), roughness.reshape(shape),
-                      emission.reshape(*shape, 3))
+                      emission.reshape(*shape, 3), f0.reshape(shape))
     return view_of(light_index, light, camera, gbuffer)
 
 

@@ -42,6 +42,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "compare": frozenset({
         "numpy", "rtgi_addon", "rtgi_addon.compare", "rtgi_addon.composite", "rtgi_addon.core", "rtgi_addon.errors",
         "rtgi_addon.frameio", "rtgi_addon.imageio", "rtgi_addon.passes", "rtgi_addon.pipeline", "rtgi_addon.planner"}),
+    "compare.plot": frozenset({"matplotlib", "rtgi_addon.compare"}),
     "compare.reference": BLENDER | {
         "numpy", "rtgi_addon.blendfile", "rtgi_addon.capture", "rtgi_addon.compare", "rtgi_addon.core", "rtgi_addon.engine",
         "rtgi_addon.errors", "rtgi_addon.imageio", "rtgi_addon.ui.props"},

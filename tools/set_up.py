@@ -26,7 +26,7 @@ STAMP = VENV / "rtgi-installed"
 BPY_LOADS = "bpy-loads"
 
 # groups of optional dependencies in pyproject.toml that each job needs
-JOBS = {"run": ("blender",), "test": ("blender", "test")}
+JOBS = {"run": ("blender", "plots"), "test": ("blender", "plots", "test")}
 
 # Shared libraries that the bpy wheels of 4.5 and 5.2 link to and do not carry -> Debian and Ubuntu package. The names hold
 # on Debian 12 and 13 and Ubuntu 22.04 and 24.04: none of these was renamed for 64-bit time.

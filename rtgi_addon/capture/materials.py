@@ -34,8 +34,9 @@ _NOT_MODELLED = {
 class Surface:
     """The closures of a surface, each array float32 (n, 3) or (n, 1) with n = 1 or the number of points.
 
-    `transparent` is what passes straight through; `rough_specular` is the roughness weighted by the specular mean, so
-    that all fields mix linearly.
+    `transparent` is what passes straight through; `rough_specular` is the roughness weighted by the specular mean, and
+    `f0_specular` the reflectance at normal incidence, so that all fields mix linearly. `known_specular` is the part of that
+    mean whose reflectance at normal incidence the nodes tell, which a metal's colour does not.
     """
 
     diffuse: np.ndarray
@@ -43,29 +44,36 @@ class Surface:
     rough_specular: np.ndarray
     emission: np.ndarray
     transparent: np.ndarray
+    f0_specular: np.ndarray
+    known_specular: np.ndarray
 
     @staticmethod
-    def of(diffuse=0.0, specular=0.0, roughness=1.0, emission=0.0, transparent=0.0) -> Surface:
-        """From scalars or arrays that broadcast to (n, 3); `roughness` to (n, 1)."""
+    def of(diffuse=0.0, specular=0.0, roughness=1.0, emission=0.0, transparent=0.0, f0=0.0) -> Surface:
+        """From scalars or arrays that broadcast to (n, 3); `roughness` and `f0` to (n, 1), an `f0` of 0 being unknown."""
         wide = [np.broadcast_to(np.asarray(a, np.float32), (np.shape(a)[0] if np.ndim(a) else 1, 3))
                 for a in (diffuse, specular, emission, transparent)]
-        rough = np.asarray(roughness, np.float32) * wide[1].mean(1, keepdims=True)
-        return Surface(wide[0], wide[1], rough, wide[2], wide[3])
+        mean, f0 = wide[1].mean(1, keepdims=True), np.asarray(f0, np.float32)
+        return Surface(wide[0], wide[1], np.asarray(roughness, np.float32) * mean, wide[2], wide[3], f0 * mean,
+                       (f0 > 0) * mean)
 
     def __mul__(self, weight: np.ndarray) -> Surface:
-        return Surface(self.diffuse * weight, self.specular * weight, self.rough_specular * weight, self.emission * weight,
-                       self.transparent * weight)
+        return Surface(*(getattr(self, field.name) * weight for field in dataclasses.fields(self)))
 
     def __add__(self, other: Surface) -> Surface:
-        return Surface(self.diffuse + other.diffuse, self.specular + other.specular,
-                       self.rough_specular + other.rough_specular, self.emission + other.emission,
-                       self.transparent + other.transparent)
+        return Surface(*(getattr(self, field.name) + getattr(other, field.name) for field in dataclasses.fields(self)))
 
     @property
     def roughness(self) -> np.ndarray:
         """(n, 1) mean over the lobes; 1 without any."""
         weight = self.specular.mean(1, keepdims=True)
         return np.where(weight > 1e-6, self.rough_specular / np.maximum(weight, 1e-6), 1.0)
+
+    @property
+    def f0(self) -> float:
+        """Mean reflectance at normal incidence of the glossy lobes; 0 unless it is known of all of them."""
+        weight = float(self.specular.mean())
+        is_known = weight > 1e-6 and float(self.known_specular.mean()) > 0.999 * weight
+        return float(self.f0_specular.mean()) / weight if is_known else 0.0
 
 
 class SurfaceReader:
@@ -135,7 +143,8 @@ class SurfaceReader:
     node_bsdf_toon = node_bsdf_sheen = node_bsdf_diffuse
 
     def node_bsdf_glossy(self, node):
-        return Surface.of(specular=self._albedo(node), roughness=self.values.scalar(node, "Roughness"))
+        # it has no Fresnel term: as much at normal incidence as at grazing
+        return Surface.of(specular=self._albedo(node), roughness=self.values.scalar(node, "Roughness"), f0=1.0)
 
     def node_bsdf_metallic(self, node):
         return Surface.of(specular=self._albedo(node, "Base Color"), roughness=self.values.scalar(node, "Roughness"))
@@ -143,8 +152,8 @@ class SurfaceReader:
     def node_bsdf_glass(self, node):
         self.found.add("refraction")
         roughness = np.clip(self.values.scalar(node, "Roughness"), 0, 1)
-        reflected = mean_reflectance(normal_reflectance(self.values.scalar(node, "IOR")), roughness)
-        return Surface.of(specular=self._albedo(node) * reflected, roughness=roughness)
+        f0 = normal_reflectance(self.values.scalar(node, "IOR"))
+        return Surface.of(specular=self._albedo(node) * mean_reflectance(f0, roughness), roughness=roughness, f0=f0)
 
     def node_bsdf_refraction(self, node):
         self.found.add("refraction")
@@ -185,17 +194,20 @@ class SurfaceReader:
         diffuse = base * (1 - metallic) * (1 - transmission) * (1 - taken)
         specular = base * metallic + (1 - metallic) * taken * tint
         emission = values.colour(node, "Emission Color") * values.scalar(node, "Emission Strength")
-        surface = Surface.of(diffuse, specular, roughness, emission)
+        known = np.where(metallic > 0, 0, np.maximum(f0 * tint.mean(1, keepdims=True), 1e-4))
+        surface = Surface.of(diffuse, specular, roughness, emission, f0=known)
         if coat.max() > 0:
             coat_roughness = np.clip(values.scalar(node, "Coat Roughness"), 0, 1)
-            coat_specular = coat * mean_reflectance(normal_reflectance(values.scalar(node, "Coat IOR")), coat_roughness)
+            coat_f0 = normal_reflectance(values.scalar(node, "Coat IOR"))
+            coat_specular = coat * mean_reflectance(coat_f0, coat_roughness)
             below = 1 - coat_specular
             # light crosses the tinted coat on its way in and out; at normal incidence that is the tint itself
             below = below * (1 + coat * (self._albedo(node, "Coat Tint") - 1))
-            under = Surface(surface.diffuse * below, surface.specular * below,
-                            surface.rough_specular * below.mean(1, keepdims=True), surface.emission * below,
-                            surface.transparent)
-            surface = under + Surface.of(specular=coat_specular, roughness=coat_roughness)
+            grey = below.mean(1, keepdims=True)
+            under = Surface(surface.diffuse * below, surface.specular * below, surface.rough_specular * grey,
+                            surface.emission * below, surface.transparent, surface.f0_specular * grey,
+                            surface.known_specular * grey)
+            surface = under + Surface.of(specular=coat_specular, roughness=coat_roughness, f0=coat_f0)
         return surface * alpha + Surface.of(transparent=1 - alpha)
 
 
@@ -255,6 +267,16 @@ class MaterialTable:
         return np.array([material.roughness for material in self.materials], np.float32)
 
     @property
+    def f0(self) -> np.ndarray:
+        """(M,) float32 reflectance at normal incidence as `core.frame.Material` has it, 0 where unknown."""
+        return np.array([material.f0 for material in self.materials], np.float32)
+
+    @property
+    def pass_index(self) -> np.ndarray:
+        """(M,) float32 pass index that the user gave each material, which `number_materials` hides from Cycles."""
+        return np.array([0 if m is None else m.original.pass_index for m in self.evaluated], np.float32)
+
+    @property
     def has_glossy(self) -> bool:
         return any(max(material.specular) > 1e-4 for material in self.materials)
 
@@ -307,7 +329,8 @@ def _to_material(name: str, surface: Surface) -> Material:
     weight = surface.specular.mean()
     roughness = float(surface.rough_specular.mean() / weight) if weight > 1e-6 else 1.0
     return Material(name, colour(surface.diffuse), colour(surface.specular), roughness,
-                    colour(np.maximum(surface.emission, 0)), float(np.clip(1 - surface.transparent.mean(), 0, 1)))
+                    colour(np.maximum(surface.emission, 0)), float(np.clip(1 - surface.transparent.mean(), 0, 1)),
+                    f0=surface.f0)
 
 
 class _UnitSquare:

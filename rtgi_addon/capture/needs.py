@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import bpy
@@ -66,9 +67,32 @@ def _may_shine(world: bpy.types.World | None) -> bool:
         node.type == "BACKGROUND" and not (_is_off(node, "Strength") or _is_off(node, "Color"))) for node in tree.nodes)
 
 
+def _lobes(tree: bpy.types.NodeTree) -> Iterator[tuple]:
+    """What tells a glossy lobe's reflectance at normal incidence, of each node that has one and is no metal for sure."""
+    for node in tree.nodes:
+        if node.type == "GROUP" and node.node_tree is not None:
+            yield from _lobes(node.node_tree)
+        elif node.type in {"BSDF_GLOSSY", "BSDF_ANISOTROPIC"}:
+            yield ("without Fresnel",)
+        elif node.type in {"BSDF_GLASS", "BSDF_PRINCIPLED"} and not _is_metal(node):
+            sockets = [node.inputs[name] for name in ("IOR", "Specular IOR Level") if name in node.inputs]
+            yield tuple("linked" if s.is_linked else round(s.default_value, 3) for s in sockets)
+
+
+def _is_metal(node: bpy.types.Node) -> bool:
+    metallic = node.inputs.get("Metallic")
+    return metallic is not None and not metallic.is_linked and metallic.default_value >= 1
+
+
+def _may_differ(materials: Iterable[bpy.types.Material]) -> bool:
+    """Whether pixels need their material's number, since a lobe is no dielectric of index 1.5, as colours alone suppose."""
+    return any(lobe != (1.5, 0.5) for m in materials if node_tree(m) for lobe in _lobes(node_tree(m)))
+
+
 def read_needs(scene: bpy.types.Scene) -> Needs:
     """Passes beyond depth, normal and diffuse colour that `scene` may need; asking for one too many costs only time."""
     materials = {slot.material for source in scene.objects for slot in source.material_slots if slot.material}
     instanced = any(source.instance_type == "COLLECTION" for source in scene.objects)
     emission = any(map(_may_emit, bpy.data.materials if instanced else materials))
-    return Needs(glossy=True, emission=emission, environment=_may_shine(scene.world), material_index=not HAS_ROUGHNESS_PASS)
+    return Needs(glossy=True, emission=emission, environment=_may_shine(scene.world),
+                 material_index=not HAS_ROUGHNESS_PASS or _may_differ(bpy.data.materials if instanced else materials))

@@ -20,6 +20,7 @@ from ..core.frame import GBuffer
 from ..core.transforms import Camera, Projection, ViewFormat
 from ..errors import CaptureError, InputError
 from .lights import rigid
+from .materials import MaterialTable
 from .needs import ROUGHNESS_PASS
 from .versions import pass_name
 
@@ -98,14 +99,14 @@ class ViewCapture:
     engine : the running RenderEngine, whose `session` is a Cycles session.
     data, depsgraph : as Blender hands them to `update` and `render`.
     origin_ws : (3,) float64 m, taken off every position.
-    material_roughness : (N,) float or None
-        Roughness by material index, for a Blender without a roughness pass.
+    materials : MaterialTable or None
+        Of the depsgraph, its materials numbered if the frame's `Needs` have the pass "Material Index".
     """
 
     def __init__(self, engine: bpy.types.RenderEngine, data: bpy.types.BlendData, depsgraph: bpy.types.Depsgraph,
-                 origin_ws: np.ndarray, material_roughness: np.ndarray | None = None):
+                 origin_ws: np.ndarray, materials: MaterialTable | None = None):
         self.engine, self.data, self.depsgraph = engine, data, depsgraph
-        self.origin_ws, self.material_roughness = origin_ws, material_roughness
+        self.origin_ws, self.materials = origin_ws, materials
 
     def passes(self, camera: Camera | None = None) -> dict[str, np.ndarray]:
         """Render the view and read its passes: (H, W, C) float32 with row 0 at the top.
@@ -219,7 +220,8 @@ class ViewCapture:
             albedo, specular, emission = albedo.copy(), specular.copy(), emission.copy()
             normal[nothing], albedo[nothing], specular[nothing] = (0, 0, 1), 0, 0
             emission[nothing] = clean.get(pass_name("Environment"), black)[nothing]
-        arrays = (depth, camera.positions_ws(depth), normal, albedo, specular, roughness, emission)
+        arrays = (depth, camera.positions_ws(depth), normal, albedo, specular, roughness, emission,
+                  self._of_materials(clean, "f0", 0.0))
         return GBuffer(*(np.ascontiguousarray(a, np.float32) for a in arrays))
 
     def _roughness(self, passes: dict[str, np.ndarray], albedo: np.ndarray, specular: np.ndarray) -> np.ndarray:
@@ -232,10 +234,15 @@ class ViewCapture:
             d, g = albedo.mean(-1), specular.mean(-1)
             rough = (passes[ROUGHNESS_PASS][..., 0] * (d + g) - d) / np.maximum(g, 1e-4)
             return np.where(g > 1e-4, np.clip(rough, 0, 1), 1.0)
+        return self._of_materials(passes, "roughness", 1.0)
+
+    def _of_materials(self, passes: dict[str, np.ndarray], name: str, nothing: float) -> np.ndarray:
+        """(H, W) of the table's numbers `name` by each pixel's material; `nothing` where no pass tells it."""
         index = passes.get(pass_name("Material Index"))
-        if index is None or self.material_roughness is None or not len(self.material_roughness):
-            return np.ones(albedo.shape[:2], np.float32)
-        return self.material_roughness[np.clip(index[..., 0].astype(np.int32), 0, len(self.material_roughness) - 1)]
+        if index is None or self.materials is None:
+            return np.full(passes["Normal"].shape[:2], nothing, np.float32)
+        numbers = getattr(self.materials, name)
+        return numbers[np.clip(index[..., 0].astype(np.int32), 0, len(numbers) - 1)]
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

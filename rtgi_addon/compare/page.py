@@ -149,7 +149,7 @@ def csv_text(rows: Sequence[Shown]) -> str:
 
 
 def plot_of(rows: Sequence[Shown], floors: dict[str, float]) -> str:
-    """SVG of speed against the picture's error; the first row stands out."""
+    """SVG of speed against the picture's error, the first row standing out; "" where there is no matplotlib to draw it."""
     return plot.speed_error_svg([row.point for row in rows], rows[0].name, floors.get("block"))
 
 
@@ -227,6 +227,7 @@ def html_page(title: str, facts: Sequence[str], rows: Sequence[Shown], reference
         title=escape(title), facts=" &middot; ".join(map(escape, facts)), summary=_paragraphs(summary_words(rows, noise)),
         scale=percent(ERROR_SCALE).replace(".0", ""), window=ERROR_WINDOW_PX,
         colour_bar=_uri(np.repeat(table, 4, 0)), table=_table(rows, noise, floors), reference=escape(reference_words),
-        notes=_paragraphs(notes), plot=plot_of(rows, floors), crossing=_paragraphs(crossing_words(rows)),
+        notes=_paragraphs(notes), crossing=_paragraphs(crossing_words(rows)),
+        plot=plot_of(rows, floors) if plot.available() else _paragraphs([plot.MISSING]),
         plan=_plan(rows[0].report), data=data,
         glossary="\n".join(f"<dt>{escape(head)}</dt><dd>{escape(doc)}</dd>" for head, doc in glossary))

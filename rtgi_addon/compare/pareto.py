@@ -52,7 +52,15 @@ def error_at_seconds(curve: Sequence[Point], seconds: float) -> float | None:
 
 
 def _times(factor: float) -> str:
-    return f"{factor:.1f}" if factor < 10 else f"{factor:.0f}"
+    return f"{factor:.2g}" if factor < 1 else f"{factor:.1f}" if factor < 10 else f"{factor:.0f}"
+
+
+def crossing_point(own: Point, curve: Sequence[Point], name: str) -> tuple[float, str] | None:
+    """Where the curve comes down to the error of `own`: seconds, and what a plot says there; None where it does not."""
+    needed = None if own in curve else seconds_for_error(curve, own.error)
+    if needed is None:
+        return None
+    return needed, f"{name} at equal error: {needed:.2g} s, {_times(needed / own.seconds)}\u00d7"
 
 
 def crossing(own: Point, curve: Sequence[Point], name: str) -> str:

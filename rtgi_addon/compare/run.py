@@ -96,7 +96,8 @@ def compare_scene(blend_path: str | Path | None, out_dir: str | Path, techniques
     """Render a scene with RTGI and with Cycles one-bounce and say how far they are apart.
 
     Prints the table and the stage times; writes into `out_dir` the page compare.html, compare.png (RTGI, Cycles, error
-    map), compare.csv, compare.json, speed_error.svg and in pictures/ each render and its error map.
+    map), compare.csv, compare.json, speed_error.svg if there is matplotlib to draw it, and in pictures/ each render and its
+    error map.
 
     Parameters
     ----------
@@ -235,7 +236,12 @@ def _write(blender: Any, out: Path, title: str, size: tuple[int, int], rows: Seq
     facts = [f"{size[0]}\u00d7{size[1]} px", f"Blender {versions_now['blender']}", f"RTGI {versions_now['rtgi']}",
              f"{main.report['threads']} threads", f"reference: {halves}, noise {percent(noise['picture'])}"]
     files = {"picture": str(out / "compare.png"), "json": str(out / "compare.json"), "page": str(out / "compare.html"),
-             "csv": str(out / "compare.csv"), "plot": str(out / "speed_error.svg"), "reference": truth.source}
+             "csv": str(out / "compare.csv"), "reference": truth.source}
+    plot = plot_of(rows, floors)
+    if plot:
+        files["plot"] = str(out / "speed_error.svg")
+    else:
+        (out / "speed_error.svg").unlink(missing_ok=True)       # of an earlier comparison
     outcome = {
         "scene": title, "size": list(size), "samples": truth.samples, "noise": noise, "floors": floors,
         "rows": {row.name: {"kind": row.kind, "seconds": row.seconds, "errors": row.errors,
@@ -244,8 +250,8 @@ def _write(blender: Any, out: Path, title: str, size: tuple[int, int], rows: Seq
         "files": files}
     texts = {files["page"]: html_page(f"RTGI against Cycles: {title}", facts, rows, halves, truth_display, mean, noise,
                                       floors, notes),
-             files["csv"]: csv_text(rows), files["plot"]: plot_of(rows, floors),
-             files["json"]: json.dumps(outcome, indent=2) + "\n"}
+             files["csv"]: csv_text(rows), files["json"]: json.dumps(outcome, indent=2) + "\n",
+             **({files["plot"]: plot + "\n"} if plot else {})}
     for name, text in texts.items():
         with replacing(Path(name)) as partial:
             partial.write_text(text, encoding="utf-8")

@@ -12,7 +12,7 @@ from ..imageio import replacing
 from . import pareto
 from .fit import PowerLaw, fit_power_law
 from .page import PART_COLUMNS
-from .plot import cost_svg, speed_error_svg
+from .plot import MISSING, available, cost_svg, speed_error_svg
 from .report import percent, text_table
 from .sweeps import AXES, DIRECT, ERROR_AXES, ROOM_AXES
 
@@ -64,7 +64,7 @@ def write_page(lines: Sequence[Line], page: Path, images: Path, head: str) -> No
 def page_text(lines: Sequence[Line], images: Path, head: str) -> tuple[str, dict[str, str]]:
     """(the page, {file name: SVG}); `images` is where the page finds them."""
     done = [line for line in lines if "seconds" in line]
-    parts, plots = [head.rstrip(), *_machines(done)], {}
+    parts, plots = [head.rstrip(), *([] if available() else [MISSING]), *_machines(done)], {}
     scenes = list(dict.fromkeys(line["scene"] for line in done if line["axis"] in ERROR_AXES))
     if scenes:
         parts.append(_SPEED_ERROR)

@@ -107,6 +107,9 @@ class GBuffer:
         Perceptual: GGX alpha is its square.
     emission : (H, W, 3) float32 W/(m2 sr)
         Radiance of emissive surfaces, and of the visible world where nothing is seen.
+    f0 : (H, W) float32
+        Reflectance of the glossy lobe at normal incidence where the material tells it, 0 where only `specular` can.
+        None stands for 0 everywhere.
     """
 
     depth: np.ndarray
@@ -116,6 +119,11 @@ class GBuffer:
     specular: np.ndarray
     roughness: np.ndarray
     emission: np.ndarray
+    f0: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.f0 is None:
+            object.__setattr__(self, "f0", np.zeros(np.shape(self.depth), np.float32))
 
     @property
     def mask(self) -> np.ndarray:
@@ -226,7 +234,8 @@ class Geometry:
 class Material:
     """What a surface is made of where no pass tells it per pixel (constants, or means of textures).
 
-    `keeps_energy` is False for a lobe of single scattering, which loses what the microfacets hide from each other.
+    `keeps_energy` is False for a lobe of single scattering, which loses what the microfacets hide from each other. `f0` is
+    the glossy lobe's reflectance at normal incidence, 0 where its colour has to tell it (metals, mixtures with them).
     """
 
     name: str
@@ -236,6 +245,7 @@ class Material:
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     alpha: float = 1.0
     keeps_energy: bool = True
+    f0: float = 0.0
 
 
 @dataclass(frozen=True)

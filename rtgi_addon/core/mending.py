@@ -64,7 +64,7 @@ def mend_gbuffer(g: GBuffer) -> tuple[GBuffer, dict[str, int]]:
             changes["normal_ws"] = normal_ws
     found |= {name: int(np.count_nonzero(where)) for name, where in lost.items() if where.any()}
     for name, nothing, largest in (("albedo", 0.0, LARGEST_LIGHT), ("specular", 0.0, LARGEST_LIGHT), ("roughness", 1.0, 1e3),
-                                   ("emission", 0.0, LARGEST_LIGHT)):
+                                   ("emission", 0.0, LARGEST_LIGHT), ("f0", 0.0, 1.0)):
         values, count = _mended_colour(getattr(g, name), nothing, largest)
         if count:
             changes[name], found[name] = values, count
@@ -76,7 +76,7 @@ def mend_gbuffer(g: GBuffer) -> tuple[GBuffer, dict[str, int]]:
             return np.where(broken if values.ndim == 2 else broken[..., None], np.asarray(nothing, np.float32), values)
 
         for name, nothing in (("depth", np.inf), ("position_ws", 0.0), ("normal_ws", (0.0, 0.0, 1.0)), ("albedo", 0.0),
-                              ("specular", 0.0), ("roughness", 1.0), ("emission", 0.0)):
+                              ("specular", 0.0), ("roughness", 1.0), ("emission", 0.0), ("f0", 0.0)):
             changes[name] = without(changes.get(name, getattr(g, name)), nothing)
     if not changes:
         return g, found

@@ -5,8 +5,8 @@ and colour are in it), but not where to. `ggx_lobe` gives the shape, `fit_lobe` 
 the pass's colour scales it. By reciprocity one function serves both uses: light arrives along `fixed` and leaves along
 `other` (a reflective shadow map's texel), or leaves along `fixed` and arrives along `other` (a camera's pixel).
 
-Whether reflectance rises (a dielectric) or not (a metal) is told by the colour too: `fit_lobe` solves it for the
-reflectance at normal incidence. Without it every surface is taken as a dielectric of index 1.5.
+Whether reflectance rises (a dielectric) or not (a metal) is told by the material, or else by the colour too: `fit_lobe`
+solves it for the reflectance at normal incidence. Without either a surface is taken as a dielectric of index 1.5.
 """
 
 from __future__ import annotations
@@ -151,17 +151,18 @@ def matt_share(reflectance, cos_fixed, alpha, f0, albedos, means):
 
 
 @device_jit
-def fit_lobe(reflectance, cos_fixed, alpha, albedos):
+def fit_lobe(reflectance, cos_fixed, alpha, albedos, known=ZERO):
     """(F0, gain) of a lobe that reflects `reflectance` towards `fixed`; `albedos` is `albedo_table()`.
 
-    The gain is 1 / (hemispherical integral of `ggx_lobe`). With r the share of the lobe that Fresnel's rise takes,
-    reflectance = F0 + (1 - F0) r. The two terms are hard to tell apart, so what comes out like a dielectric is taken as
-    one of index 1.5 (measured: closer to Cycles than the solution); above an F0 of 0.2, which only metals have, it stands.
+    The gain is 1 / (hemispherical integral of `ggx_lobe`). F0 is `known` where that is above 0. Else the reflectance
+    has to tell it: with r the share of the lobe that Fresnel's rise takes, reflectance = F0 + (1 - F0) r. The two
+    terms are hard to tell apart, so what comes out like a dielectric is taken as one of index 1.5 (measured: closer to
+    Cycles than the solution); above an F0 of 0.2, which only metals have, it stands.
     """
     flat, rise = lobe_albedos(albedos, cos_fixed, alpha)
     r = min(rise / max(flat, f32(1e-3)), f32(0.9))
     solved = min(max((reflectance - r) / (ONE - r), F0), ONE)
     t = min(max((solved - f32(0.08)) / f32(0.12), ZERO), ONE)
-    f0 = F0 + t * (solved - F0)
+    f0 = known if known > ZERO else F0 + t * (solved - F0)
     at_fixed = fresnel(min(max(cos_fixed, f32(0.02)), ONE), f0)
     return f0, at_fixed / max(f0 * flat + (ONE - f0) * rise, f32(0.02) * at_fixed)

@@ -53,8 +53,8 @@ class Clusters(NamedTuple):
 
 
 @pixel_jit
-def fill_texels(begin, end, table, first, reflects, position, normal, albedo, specular, roughness, flux, light_position,
-                to_sun, is_sun, albedos, means, use_glossy):
+def fill_texels(begin, end, table, first, reflects, position, normal, albedo, specular, roughness, known_f0, flux,
+                light_position, to_sun, is_sun, albedos, means, use_glossy):
     """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row."""
     height, width = roughness.shape
     for i in range(begin, end):
@@ -67,7 +67,7 @@ def fill_texels(begin, end, table, first, reflects, position, normal, albedo, sp
             alpha = min(max(roughness[i, j] * roughness[i, j], MIN_ALPHA), ONE)
             cosine = min(max(dot(n, w), ZERO), f32(0.999))
             reflectance = (specular[i, j, 0] + specular[i, j, 1] + specular[i, j, 2]) * f32(1 / 3)
-            f0, gain = fit_lobe(reflectance, cosine, alpha, albedos)
+            f0, gain = fit_lobe(reflectance, cosine, alpha, albedos, known_f0[i, j])
             below, diffuse, glossy = matt_share(reflectance, cosine, alpha, f0, albedos, means), ZERO, ZERO
             for a in range(3):
                 table[DIFFUSE + a, k] = flux[i, j, a] * min(albedo[i, j, a] * below, ONE)

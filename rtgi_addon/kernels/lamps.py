@@ -13,23 +13,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import ggx_lobe
+from .brdf import fresnel, ggx_lobe, sample_lobe
 from .jit import device_jit
 from .sampling import disk, r2_sequence
 from .vec3 import ONE, ZERO, Vec3, cross, dot, f32, length, load, normalized_or, scaled, sub, tangent_frame
 
 POSITION, DIRECTION, AXIS_X, AXIS_Y = 0, 1, 2, 3
 DISK_LAMP, SPHERE_LAMP, SUN_LAMP, RECTANGLE_LAMP, ELLIPSE_LAMP = 0, 1, 2, 3, 4
-PI = f32(math.pi)
+PI, INV_PI = f32(math.pi), f32(1 / math.pi)
 HALF = f32(0.5)
 NEAR = f32(0.1)             # half size over distance above which an area light is summed in closed form
 WIDE = f32(0.3)             # half size over distance above which a lamp that sets behind the surface is no flat disk
 TINY = f32(0.004)           # half size over distance below which the centre stands for the shape
+SMALL = f32(0.03)           # the same where no sharp lobe sees the shape: what it misses goes with the square
 GAUSS = f32(0.57735027)     # node of the two-point Gauss rule on [-1, 1]
 POLYGON = 16                # sides of the polygon that stands for an ellipse; of equal area, 0.03 % at most
 AREA_SAMPLES = 64           # of the sums that have no closed form
 FEW_AREA_SAMPLES = 16
 LEAST_ALPHA = f32(0.006)    # sharper lobes are below float32's resolution of the half vector
+SHARP = f32(0.25)           # alpha over apparent half size below which rays of the lobe tell what it reflects of a lamp
+SHARP_RAYS = 16
+MIRROR_ALPHA = f32(1e-3)    # one ray tells
+MINOR_LOBE = f32(0.02)      # of the light of a white matt surface: less of it need not be known to a tenth
+METALS = f32(0.3)           # reflectance from which a surface may have nothing but its lobe
+TAIL = f32(24)              # alphas from its mirror direction beyond which a lobe holds less than a fiftieth of a percent
 
 
 class Lamp(NamedTuple):
@@ -229,11 +236,89 @@ def apparent_size(lamp, p):
 
 
 @device_jit
-def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
+def radiance_along(lamp, p, d):
+    """Radiance that arrives at p along the unit vector d, which points away from p; 0 beside the lamp."""
+    towards = load(lamp.places, DIRECTION)
+    if lamp.kind == SUN_LAMP:
+        rise = -dot(towards, d)
+        inside = rise > ZERO and ONE - rise * rise <= lamp.half_x * lamp.half_x
+        return INV_PI / (lamp.half_x * lamp.half_x) if inside else ZERO
+    to = sub(load(lamp.places, POSITION), p)
+    if lamp.kind >= RECTANGLE_LAMP:
+        facing = -dot(towards, d)
+        distance = -dot(towards, to)
+        if facing <= f32(1e-6) or distance <= ZERO:
+            return ZERO
+        off = sub(scaled(d, distance / facing), to)
+        x, y = dot(off, load(lamp.places, AXIS_X)) / lamp.half_x, dot(off, load(lamp.places, AXIS_Y)) / lamp.half_y
+        if not (max(abs(x), abs(y)) <= ONE if lamp.kind == RECTANGLE_LAMP else x * x + y * y <= ONE):
+            return ZERO
+        share = ONE
+        if lamp.spread_gain > ZERO:
+            share = max(lamp.tan_spread - math.sqrt(max(ZERO, ONE - facing * facing)) / facing, ZERO) * lamp.spread_gain
+        return share
+    distance_sq, along_axis = dot(to, to), dot(to, d)
+    if along_axis <= ZERO:
+        return ZERO
+    r_sq, miss_sq = lamp.half_x * lamp.half_x, max(distance_sq - along_axis * along_axis, ZERO)
+    if lamp.kind == DISK_LAMP:                   # how far the ray passes the centre, in the disk's plane
+        miss_sq *= distance_sq / (along_axis * along_axis)
+    return _spot_share(lamp, d) * INV_PI / r_sq if miss_sq <= r_sq else ZERO
+
+
+@device_jit
+def _reflected(lamp, p, n, viewer, axis, size, alpha, f0, shift_u, shift_v):
+    """Integral of radiance x glossy lobe of a lobe that is narrow beside the lamp, by rays of the lobe."""
+    mirror = sub(scaled(n, f32(2) * dot(n, viewer)), viewer)
+    beyond = length(sub(mirror, axis)) - TAIL * alpha
+    if beyond > f32(1.5) * size or dot(n, viewer) <= ZERO:
+        return ZERO
+    total, rays = ZERO, SHARP_RAYS if alpha > MIRROR_ALPHA else 1
+    at_viewer = fresnel(max(dot(n, viewer), f32(0.02)), f0)
+    for i in range(rays):
+        d, weight = mirror, ONE
+        if alpha > MIRROR_ALPHA:
+            u, v = r2_sequence(i, shift_u, shift_v)
+            d, weight = sample_lobe(n, viewer, alpha, u, v)
+        half = normalized_or(Vec3(d.x + viewer.x, d.y + viewer.y, d.z + viewer.z), n)
+        total += weight * fresnel(max(dot(half, viewer), ZERO), f0) / at_viewer * radiance_along(lamp, p, d)
+    return total / f32(rays)
+
+
+@device_jit
+def may_reach(lamp, p, n):
+    """False where a lamp surely sends nothing: behind the surface, behind the lamp, outside a spot's cone. Cheap."""
+    direction = load(lamp.places, DIRECTION)
+    if lamp.kind == SUN_LAMP:
+        return dot(n, direction) < lamp.half_x
+    to, reach = sub(load(lamp.places, POSITION), p), f32(1.5) * max(lamp.half_x, lamp.half_y)
+    if dot(n, to) < -reach:
+        return False
+    along_axis = -dot(direction, to)
+    if lamp.kind >= RECTANGLE_LAMP:
+        return along_axis > ZERO
+    return lamp.spot_scale == ZERO or along_axis > lamp.spot_edge * length(to) - f32(1.5) * reach
+
+
+@device_jit
+def _from_centre(lamp, p, n, viewer, alpha, f0, is_glossy):
+    """(irradiance, integral of radiance x glossy lobe) as if the lamp's centre sent all of its light."""
+    d, weight = lamp_at(lamp, p, ZERO, ZERO)
+    unit = normalized_or(d, n)
+    cosine = dot(n, unit)
+    if not weight > ZERO or not cosine > ZERO:
+        return ZERO, ZERO
+    return weight * cosine, weight * ggx_lobe(n, viewer, unit, alpha * alpha, f0) if is_glossy else ZERO
+
+
+@device_jit
+def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, shift_v):
     """(irradiance, integral of radiance x glossy lobe) at p from a lamp of unit strength, nothing standing between.
 
     One sample serves a lamp that looks tiny, four a small one, and many an area light that looks large or is narrow; the
-    lobe is widened by the part of the lamp that a sample stands for. Large Lambertian areas have a closed form.
+    lobe is widened by the part of the lamp that a sample stands for. Large Lambertian areas have a closed form. A lobe that
+    is narrow beside the lamp shows its shape. `reflectance` is what a colour multiplies the lobe with, 0 for none. Of a
+    lamp that `is_faint` beside others the centre stands for all, and so it does in a lobe that adds little to matt light.
     """
     size = apparent_size(lamp, p)
     is_area = lamp.kind >= RECTANGLE_LAMP
@@ -247,6 +332,17 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
     height = dot(n, axis)
     if height < -size and not is_area:
         return ZERO, ZERO
+    is_glossy = reflectance > ZERO
+    wide_alpha = max(max(alpha, HALF * min(size, ONE)), LEAST_ALPHA)
+    if is_faint:
+        return _from_centre(lamp, p, n, viewer, wide_alpha, f0, is_glossy)
+    glossy = ZERO
+    if is_glossy and alpha < SHARP * min(size, f32(0.2)):
+        glossy = _reflected(lamp, p, n, viewer, axis, size, alpha, f0, shift_u, shift_v)
+        is_glossy = False
+    elif is_glossy and height > size and reflectance < METALS:
+        diffuse, glossy = _from_centre(lamp, p, n, viewer, wide_alpha, f0, True)
+        is_glossy = reflectance * glossy > MINOR_LOBE * INV_PI * diffuse
     count, widening = 4, f32(0.25) * size
     is_closed = is_area and lamp.spread_gain == ZERO and (size > NEAR or abs(height) < f32(2) * size)
     sets = not is_area and abs(height) < size
@@ -256,11 +352,14 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, shift_u, shift_v):
             count = 0
         elif is_closed and alpha >= f32(0.25) * min(size, ONE):      # only the lobe asks, and it is wider than its parts
             count = FEW_AREA_SAMPLES
-    elif size < TINY and not is_area and not sets:
+    elif not sets and (size < TINY and not is_area or size < SMALL and height > size
+                       and not (is_glossy and alpha < f32(6) * size)):
         count, widening = 1, HALF * size
     alpha = max(max(alpha, widening), LEAST_ALPHA)
     node = GAUSS if lamp.kind == RECTANGLE_LAMP else HALF
-    diffuse, glossy, carried = ZERO, ZERO, ZERO
+    diffuse, carried = ZERO, ZERO
+    if is_glossy:
+        glossy = ZERO
     for i in range(count):
         x, y, share = ZERO, ZERO, ONE
         if count >= FEW_AREA_SAMPLES:

@@ -28,7 +28,7 @@ class Gloss(NamedTuple):
 
     leaving (H, W, 3) float32 W/(m2 sr): light that leaves each pixel's matt surface after direct light has reached it;
     emission (H, W, 3): its own; irradiance (H, W) W/m2: what arrives from lamps, mean of the colours; specular (H, W, 3),
-    roughness (H, W) float32; albedos: `brdf.albedo_table()`.
+    roughness and f0 (H, W) float32, see `core.frame.GBuffer`; albedos: `brdf.albedo_table()`.
     """
 
     leaving: np.ndarray
@@ -36,6 +36,7 @@ class Gloss(NamedTuple):
     irradiance: np.ndarray
     specular: np.ndarray
     roughness: np.ndarray
+    f0: np.ndarray
     albedos: np.ndarray
 
 
@@ -111,7 +112,7 @@ def _given(lights, k, albedo, diffuse, specular, glossy):
 
 
 @device_jit
-def light_of_lamps(bvh, lights, stack, p, n, towards, albedo, specular, roughness, albedos, offset_m, u, v, pick):
+def light_of_lamps(bvh, lights, stack, p, n, towards, albedo, specular, roughness, known_f0, albedos, offset_m, u, v, pick):
     """Radiance that point p, normal n, sends along `towards` of the lamps' light: one shadow ray, to a lamp drawn by share.
 
     (u, v) is the place on the lamp, `pick` draws the lamp; all in [0, 1).
@@ -119,7 +120,7 @@ def light_of_lamps(bvh, lights, stack, p, n, towards, albedo, specular, roughnes
     reflectance = max(specular.x, max(specular.y, specular.z))
     alpha, f0, gain = max(roughness * roughness, LEAST_ALPHA), ZERO, ZERO
     if reflectance > LEAST_REFLECTANCE:
-        f0, gain = fit_lobe(reflectance, max(dot(n, towards), ZERO), alpha, albedos)
+        f0, gain = fit_lobe(reflectance, max(dot(n, towards), ZERO), alpha, albedos, known_f0)
     total, kept, chosen = ZERO, ZERO, -1
     light, way = Vec3(ZERO, ZERO, ZERO), Vec3(ZERO, ZERO, ZERO)
     for k in range(lights.kinds.shape[0]):
@@ -152,7 +153,7 @@ def light_of_lamps(bvh, lights, stack, p, n, towards, albedo, specular, roughnes
 
 
 @device_jit
-def gloss_of_lamps(lights, p, n, towards, viewer, specular, roughness, irradiance, albedos, u, v):
+def gloss_of_lamps(lights, p, n, towards, viewer, specular, roughness, known_f0, irradiance, albedos, u, v):
     """Radiance that the glossy lobe of a surface in the picture sends along `towards` of the lamps' light.
 
     `specular` is its Glossy Color towards `viewer`; what it would be towards the ray follows from the rise of Fresnel's
@@ -163,7 +164,7 @@ def gloss_of_lamps(lights, p, n, towards, viewer, specular, roughness, irradianc
     if not reflectance > LEAST_REFLECTANCE or not irradiance > ZERO or not cosine > ZERO:
         return Vec3(ZERO, ZERO, ZERO)
     cos_viewer = max(dot(n, viewer), ZERO)
-    f0, gain = fit_lobe(reflectance, cos_viewer, alpha, albedos)
+    f0, gain = fit_lobe(reflectance, cos_viewer, alpha, albedos, known_f0)
     seen_flat, _ = lobe_albedos(albedos, cos_viewer, alpha)
     flat, _ = lobe_albedos(albedos, cosine, alpha)
     # colour towards the ray times the lobe's gain there: the lobe's integral towards the ray cancels

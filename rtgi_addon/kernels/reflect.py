@@ -155,7 +155,7 @@ def draw_rays(begin, end, index, samples, s, planes, gloss, rules, seed, rays):
         if alpha >= MIRROR_ALPHA:
             reflectance = max(gloss.specular[i, j, 0], max(gloss.specular[i, j, 1], gloss.specular[i, j, 2]))
             cosine = max(dot(n, viewer), LEAST_COSINE)
-            f0, gain = fit_lobe(reflectance, cosine, alpha, gloss.albedos)
+            f0, gain = fit_lobe(reflectance, cosine, alpha, gloss.albedos, gloss.f0[i, j])
             gain /= fresnel(cosine, f0)
             # pixels of a block of 4x4 share one shifted sequence, so that a filter over them sees it whole
             block, place = (i >> 2) * 65536 + (j >> 2), place_in_block(i, j)
@@ -230,8 +230,9 @@ def follow_rays(begin, end, index, samples, s, pyramid, gloss, lights, rules, se
                 hit = along(p, d, length_m)
                 sent = gloss_of_lamps(
                     lights, hit, load_pixel(s.normal_ws, at_i, at_j), scaled(d, -ONE), view_vector(s, hit),
-                    load_pixel(gloss.specular, at_i, at_j), gloss.roughness[at_i, at_j], gloss.irradiance[at_i, at_j],
-                    gloss.albedos, uniform(index[m], k, seed + 1), uniform(index[m], k, seed + 2))
+                    load_pixel(gloss.specular, at_i, at_j), gloss.roughness[at_i, at_j], gloss.f0[at_i, at_j],
+                    gloss.irradiance[at_i, at_j], gloss.albedos, uniform(index[m], k, seed + 1),
+                    uniform(index[m], k, seed + 2))
                 for c in range(3):
                     rays.light[r, c] += sent[c]
                 if share > ZERO:

@@ -45,7 +45,7 @@ class Surroundings(NamedTuple):
 
 @device_jit
 def _colours_at(around, albedos, t, a, b, cosine):
-    """(albedo, Glossy Color towards a direction at `cosine` to the normal, roughness) of triangle t at (a, b) in it."""
+    """(albedo, Glossy Color towards a direction at `cosine` to the normal, roughness, F0) of triangle t at (a, b) in it."""
     c, at = ONE - a - b, around.albedo[t]
     albedo = Vec3(c * at[0, 0] + a * at[1, 0] + b * at[2, 0], c * at[0, 1] + a * at[1, 1] + b * at[2, 1],
                   c * at[0, 2] + a * at[1, 2] + b * at[2, 2])
@@ -53,7 +53,7 @@ def _colours_at(around, albedos, t, a, b, cosine):
     flat, rise = lobe_albedos(albedos, cosine, substance[3] * substance[3])
     rise = min(rise / max(flat, f32(1e-3)), f32(0.9))
     reflectance = substance[4] + (ONE - substance[4]) * rise
-    return albedo, scaled(Vec3(substance[0], substance[1], substance[2]), reflectance), substance[3]
+    return albedo, scaled(Vec3(substance[0], substance[1], substance[2]), reflectance), substance[3], substance[4]
 
 
 @pixel_jit
@@ -93,15 +93,17 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                     i, j = int(down), int(across)
                     sent = gloss_of_lamps(
                         lights, p, load_pixel(screen.normal_ws, i, j), scaled(d, -ONE), view_vector(screen, p),
-                        load_pixel(gloss.specular, i, j), gloss.roughness[i, j], gloss.irradiance[i, j], gloss.albedos,
+                        load_pixel(gloss.specular, i, j), gloss.roughness[i, j], gloss.f0[i, j], gloss.irradiance[i, j],
+                        gloss.albedos,
                         uniform(q, 11, seed), uniform(q, 12, seed))
                     for c in range(3):
                         light[c] += sent[c]
             if share < ONE:
                 source = bvh.source[slot]
-                albedo, specular, roughness = _colours_at(around, gloss.albedos, source, a, b, -dot(n, d))
-                sent = light_of_lamps(bvh, lights, stack, p, n, scaled(d, -ONE), albedo, specular, roughness, gloss.albedos,
-                                      rules.offset_m, uniform(q, 11, seed), uniform(q, 12, seed), uniform(q, 13, seed))
+                albedo, specular, roughness, f0 = _colours_at(around, gloss.albedos, source, a, b, -dot(n, d))
+                sent = light_of_lamps(bvh, lights, stack, p, n, scaled(d, -ONE), albedo, specular, roughness, f0,
+                                      gloss.albedos, rules.offset_m, uniform(q, 11, seed), uniform(q, 12, seed),
+                                      uniform(q, 13, seed))
                 other[0], other[1], other[2] = sent.x, sent.y, sent.z
                 if around.lights_up:
                     tangent, bitangent = tangent_frame(n)

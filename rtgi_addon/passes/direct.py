@@ -47,6 +47,7 @@ WITHOUT_BOUND = f32(1e30)
 # of what all lamps could give, at pixels that show no highlight of this one:
 FAINT_SHARE = f32(5e-3)     # for less the map's own four texels tell the shadow, not rays
 MINOR_SHARE = f32(0.1)      # for less one ray tells it, with noise in half shadows
+MIDDLE_SHARE = f32(0.3)     # for less half as many rays do
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -105,7 +106,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
             share = (tile + 0.3 + 0.7 * number / len(sources)) / tiles
             if source.test == MAP and has_rays:
                 is_faint = source.colours[6] * bare.diffuse[left] < FAINT_SHARE * out.could[part[left]]
-                is_faint &= bare.glossy[left] * pixels.specular[part[left]].max(1) <= bare.diffuse[left] * INV_PI
+                is_faint &= bare.glossy[left] * pixels.reflectance[part[left]] <= bare.diffuse[left] * INV_PI
                 _ask_map(part, left[is_faint], source.colours, pixels, source.shadow_map, bare, out)
                 left = left[~is_faint]
             asked[source.name] += len(left)
@@ -128,18 +129,20 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
 class _Pixels(NamedTuple):
     """The camera's pixels as kernels take them: (N, 3) and (N,) float32.
 
-    `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `eye_span` is the largest coordinate
-    of the camera's position; `albedos` is `brdf.albedo_table()`.
+    `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `eye_span` is the largest coordinate of
+    the camera's position. reflectance, f0 and gain: of the glossy lobe, see `brdf.fit_lobe`; reflectance is 0 without one.
     """
 
     position: np.ndarray
     normal: np.ndarray
     specular: np.ndarray
     roughness: np.ndarray
+    reflectance: np.ndarray
+    f0: np.ndarray
+    gain: np.ndarray
     eye: np.ndarray
     eye_span: np.float32
     is_parallel: bool
-    albedos: np.ndarray
 
 
 class _Source(NamedTuple):
@@ -208,8 +211,12 @@ def _pack_pixels(frame: Frame) -> _Pixels:
                                   for a in (g.position_ws, g.normal_ws, g.specular))
     is_parallel = camera.projection is Projection.ORTHOGRAPHIC
     eye = camera.world_from_view[:3, 2] if is_parallel else camera.position_ws
-    return _Pixels(position, normal, specular, np.ascontiguousarray(g.roughness.ravel(), np.float32), np.float32([eye]),
-                   f32(np.abs(camera.position_ws).max()), is_parallel, albedo_table(frame.keeps_energy))
+    roughness = np.ascontiguousarray(g.roughness.ravel(), np.float32)
+    pixels = _Pixels(position, normal, specular, roughness, specular.max(1), g.f0.ravel().astype(np.float32),
+                     np.ones(len(position), np.float32), np.float32([eye]), f32(np.abs(camera.position_ws).max()),
+                     is_parallel)
+    _fit_lobes(len(position), pixels, albedo_table(frame.keeps_energy))
+    return pixels
 
 
 def _length_out_of(bvh: Bvh | None) -> float:
@@ -283,15 +290,17 @@ def _error_of(pixels, p, distance):
     return POSITION_ERROR * (distance + pixels.eye_span + max(abs(p.x), max(abs(p.y), abs(p.z))))
 
 
-@device_jit
-def _lobe_of(q, pixels, n, viewer):
-    """(is there a glossy lobe, its alpha, reflectance at normal incidence, gain) of pixel q."""
-    reflectance = max(pixels.specular[q, 0], max(pixels.specular[q, 1], pixels.specular[q, 2]))
-    alpha = pixels.roughness[q] * pixels.roughness[q]
-    if reflectance <= ZERO:
-        return False, alpha, ZERO, ZERO
-    f0, gain = fit_lobe(reflectance, max(dot(n, viewer), ZERO), alpha, pixels.albedos)
-    return True, alpha, f0, gain
+@pixel_jit
+def _fit_lobes(begin, end, pixels, albedos):
+    """Put each pixel's lobe into `f0`, which holds what materials know of it, and `gain`."""
+    pixels, = borrowed((pixels,))
+    for q in range(begin, end):
+        if pixels.reflectance[q] > ZERO:
+            n = load(pixels.normal, q)
+            viewer, _ = _viewer(pixels, load(pixels.position, q))
+            alpha = pixels.roughness[q] * pixels.roughness[q]
+            pixels.f0[q], pixels.gain[q] = fit_lobe(pixels.reflectance[q], max(dot(n, viewer), ZERO), alpha, albedos,
+                                                    pixels.f0[q])
 
 
 @device_jit
@@ -306,14 +315,20 @@ def _add(q, diffuse, glossy, colours, pixels, out):
 def _light_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, test, strength, bare, out):
     """Find the unshadowed light and add it if nothing stands between; returns what the map says: LIT, DARK or ASK."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
-    if strength < WITHOUT_BOUND and pixels.roughness[q] >= ROUGH:
+    if not lamps.may_reach(lamp, p, n):
+        return shadow.DARK
+    is_faint = False
+    if strength < WITHOUT_BOUND:
         beyond = length(sub(load(lamp.places, lamps.POSITION), p)) - f32(1.5) * max(lamp.half_x, lamp.half_y)
-        if beyond > ZERO and strength < NEGLIGIBLE_SHARE * out.could[q] * beyond * beyond:
-            return shadow.DARK
+        if beyond > ZERO and (pixels.roughness[q] >= ROUGH or pixels.reflectance[q] == ZERO):
+            is_faint = strength < FAINT_SHARE * out.could[q] * beyond * beyond
+            if strength < NEGLIGIBLE_SHARE * out.could[q] * beyond * beyond:
+                return shadow.DARK
     viewer, distance = _viewer(pixels, p)
-    is_glossy, alpha, f0, gain = _lobe_of(q, pixels, n, viewer)
-    diffuse, glossy = lamps.unshadowed(lamp, p, n, viewer, alpha, f0, is_glossy, uniform(q, 0, salt), uniform(q, 1, salt))
-    glossy *= gain
+    alpha, reflectance = pixels.roughness[q] * pixels.roughness[q], pixels.reflectance[q]
+    diffuse, glossy = lamps.unshadowed(lamp, p, n, viewer, alpha, pixels.f0[q], reflectance, is_faint, uniform(q, 0, salt),
+                                       uniform(q, 1, salt))
+    glossy *= pixels.gain[q]
     if diffuse <= ZERO and glossy <= ZERO:
         return shadow.DARK
     bare.diffuse[k], bare.glossy[k] = diffuse, glossy
@@ -410,8 +425,7 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
         starts.known[q] = 1
     start, side = load(starts.place, q), load(starts.side, q)
     share, glossy_share = ONE, ONE
-    specular = max(pixels.specular[q, 0], max(pixels.specular[q, 1], pixels.specular[q, 2]))
-    is_highlight = bare.glossy[k] * specular > bare.diffuse[k] * INV_PI
+    is_highlight = bare.glossy[k] * pixels.reflectance[q] > bare.diffuse[k] * INV_PI
     is_minor = pilots > 0 and not is_highlight and colours[6] * bare.diffuse[k] < MINOR_SHARE * out.could[q]
     answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO and not is_minor else shadow.ASK
     if is_minor:
@@ -420,8 +434,10 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
         share = _seen(bvh, stack, start, side, p, d)
         glossy_share = share
     elif answer == shadow.ASK:
-        _, alpha, f0, _ = _lobe_of(q, pixels, n, viewer)
-        share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
+        alpha = pixels.roughness[q] * pixels.roughness[q]
+        if pilots > 0 and not is_highlight and colours[6] * bare.diffuse[k] < MIDDLE_SHARE * out.could[q]:
+            pilots, rays = pilots // 2, max(rays // 2, 1)
+        share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, pixels.f0[q], pilots,
                                            rays, uniform(q, 2, salt), uniform(q, 3, salt))
     if answer != shadow.DARK:
         _add(q, bare.diffuse[k] * share, bare.glossy[k] * glossy_share, colours, pixels, out)

@@ -50,8 +50,8 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
     for view, reflects in zip(frame.views, reflecting, strict=True):
         g, light, count = view.gbuffer, frame.lights[view.light_index], np.count_nonzero(reflects, axis=1)
         fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo,
-                    g.specular, g.roughness, view.incident_flux, vector(light.position_ws), vector(-light.direction_ws),
-                    light.kind is LightKind.SUN, albedo_table(frame.keeps_energy),
+                    g.specular, g.roughness, g.f0, view.incident_flux, vector(light.position_ws),
+                    vector(-light.direction_ws), light.kind is LightKind.SUN, albedo_table(frame.keeps_energy),
                     mean_albedo_table(frame.keeps_energy), use_glossy)
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
         mine = slice(offset, offset + int(count.sum()))

@@ -182,7 +182,7 @@ class _Tracer:
                                 self._looks_at_picture)
         lit = context.light.get(Transport.DIRECT_DIFFUSE)
         irradiance = np.zeros(g.shape, np.float32) if lit is None else lit @ np.full(3, 1 / 3, np.float32)
-        gloss = Gloss(leave_surfaces(frame, context, _DIRECT), g.emission, irradiance, g.specular, g.roughness,
+        gloss = Gloss(leave_surfaces(frame, context, _DIRECT), g.emission, irradiance, g.specular, g.roughness, g.f0,
                       albedo_table(frame.keeps_energy))
         bvh = context.bvh(frame.geometry) if has_rays else build_bvh(np.zeros((0, 3, 3), np.float32))
         reach_m = reach_out_m(frame, bvh)

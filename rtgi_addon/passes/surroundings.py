@@ -30,8 +30,8 @@ def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
     """(M, 5) float32 of materials at hits: colour, roughness, reflectance F0 at normal incidence.
 
     A material's `specular` is its mean over all directions. Towards one direction it reflects colour (F0 + (1 - F0) r),
-    with r the rise at that angle, and the colour is such that the mean comes out. Bright ones are metals, see
-    `brdf.fit_lobe`.
+    with r the rise at that angle, and the colour is such that the mean comes out. Where a material does not know its F0,
+    bright ones are metals, see `brdf.fit_lobe`.
     """
     table = albedo_table(True).astype(np.float64)
     rise = table[..., 1] / np.maximum(table[..., 0], 1e-3)
@@ -42,7 +42,7 @@ def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
         # colours count what is not there of a surface as black, and a hit is on what is there
         specular = np.array(material.specular) / max(material.alpha, 1e-3)
         brightest = specular.max()
-        f0 = 0.04 + min(max((brightest - 0.08) / 0.12, 0), 1) * (brightest - 0.04)
+        f0 = material.f0 or 0.04 + min(max((brightest - 0.08) / 0.12, 0), 1) * (brightest - 0.04)
         mean = np.interp(material.roughness**2, cosine, mean_rise)
         rows.append([*(specular / (f0 + (1 - f0) * mean)), material.roughness, f0])
     return np.array(rows, np.float32).reshape(-1, 5)

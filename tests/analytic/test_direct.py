@@ -28,6 +28,14 @@ def glossy(frame, **params):
     return compute_direct(frame, DirectParams(**params), Context(), 0).light[Transport.DIRECT_GLOSSY]
 
 
+def polished(frame, specular, roughness, f0=0.0):
+    """`frame` with one glossy lobe everywhere."""
+    shape, seen = frame.gbuffer.shape, frame.gbuffer
+    return dataclasses.replace(frame, gbuffer=dataclasses.replace(
+        seen, specular=np.full((*shape, 3), specular, np.float32), roughness=np.full(shape, roughness, np.float32),
+        f0=np.full(shape, f0, np.float32)))
+
+
 def test_point_light_gives_intensity_times_cosine_over_distance_squared():
     frame = plane_frame(Light("Point", LightKind.POINT, DOWN, 5 * WHITE))
     p = frame.gbuffer.position_ws.astype(float)
@@ -187,8 +195,6 @@ def test_glossy_lobe_of_a_broad_highlight_carries_the_known_reflectance():
     from rtgi_addon.core.transforms import normalized
 
     frame = plane_frame(width=3, height=3)
-    specular = np.full((3, 3, 3), 0.6, np.float32)
-    seen = dataclasses.replace(frame.gbuffer, specular=specular, roughness=np.full((3, 3), 0.7, np.float32))
     steps, suns = 20, []
     for i in range(steps):
         for j in range(2 * steps):
@@ -197,10 +203,36 @@ def test_glossy_lobe_of_a_broad_highlight_carries_the_known_reflectance():
             d = normalized(np.array([r * np.cos(phi), r * np.sin(phi), z]))
             place = looking(d, (0, 0, 0), (0.3, 0.1, 0.9))
             suns.append(Light(f"Sun{i}.{j}", LightKind.SUN, place, WHITE * np.pi / steps**2))
-    furnace = dataclasses.replace(frame, gbuffer=seen, lights=tuple(suns), geometry=None)
+    furnace = dataclasses.replace(polished(frame, 0.6, 0.7), lights=tuple(suns), geometry=None)
     np.testing.assert_allclose(glossy(furnace)[1, 1], 0.6, rtol=0.03)      # 800 suns and a table of 32 cells
 
 
 def test_surface_without_gloss_sends_none():
     frame = plane_frame(Light("Point", LightKind.POINT, DOWN, WHITE))
     assert not glossy(frame).any()
+
+
+@pytest.mark.parametrize(("kind", "shape"), [
+    (LightKind.RECTANGLE, {"size_x_m": 1.6, "size_y_m": 0.9}), (LightKind.DISK, {"size_x_m": 0.6, "size_y_m": 0.6}),
+    (LightKind.POINT, {"radius_m": 0.25}), (LightKind.POINT, {"radius_m": 0.25, "is_sphere": True}),
+    (LightKind.SUN, {"angle_rad": 0.3})])
+def test_mirror_shows_the_lamps_own_radiance_inside_its_outline_and_nothing_beside_it(kind, shape):
+    # the camera looks straight down beside the lamp, and each pixel's mirror direction meets the lamp or does not
+    light = Light("Lamp", kind, DOWN, 7 * WHITE, **shape)
+    frame = polished(plane_frame(light), 1.0, 0.01)
+    shown = glossy(frame)[..., 0]
+    radius = shape.get("radius_m", 0)
+    radiance = {LightKind.POINT: 7 / (np.pi * radius**2) if radius else 0,
+                LightKind.SUN: 7 / (np.pi * np.sin(0.15) ** 2)}.get(kind, 7.0)
+    lit = shown > 0.5 * radiance
+    assert 4 < lit.sum() < lit.size / 2
+    np.testing.assert_allclose(shown[lit], radiance, rtol=2e-3)
+    np.testing.assert_allclose(shown[~lit], 0, atol=1e-3 * radiance)
+
+
+def test_lobe_of_a_known_material_is_that_of_its_reflectance_at_normal_incidence():
+    bare = plane_frame(Light("Point", LightKind.POINT, DOWN, 5 * WHITE, radius_m=0.1))
+    told, flat, rising = (glossy(polished(bare, 0.3, 0.5, f0))[CENTRE][0] for f0 in (0.0, 1.0, 0.02))
+    # straight back a surface without Fresnel sends what its colour says; one of 2 % sends less, and more at grazing
+    assert flat > rising > 0
+    assert told == pytest.approx(glossy(polished(bare, 0.3, 0.5, 0.3))[CENTRE][0], rel=0.03)    # 0.3 at normal incidence

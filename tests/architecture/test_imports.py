@@ -35,6 +35,7 @@ def test_module_imports_its_own_package_relatively(module):
     ("capture.views", "from ..passes import TECHNIQUES", "rtgi_addon.passes"),
     ("capture.views", "from .. import pipeline", "rtgi_addon.pipeline"),
     ("compare.metrics", "import bpy", "bpy"),
+    ("compare.page", "def f():\n    import matplotlib.figure", "matplotlib.figure"),
     ("pipeline", "from .capture import lights", "rtgi_addon.capture.lights"),
     ("errors", "import numpy", "numpy"),
     ("novelty", "import numpy", "numpy"),
@@ -68,6 +69,13 @@ def test_importing_the_library_loads_neither_blender_nor_its_extras():
             f"print(sorted({set(architecture.BLENDER)!r} & set(sys.modules)))")
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert (run.returncode, run.stdout.strip()) == (0, "[]"), run.stderr
+
+
+def test_importing_the_plots_loads_no_matplotlib():
+    # Blender does not bring it, and where it is installed the first import looks through the system's fonts
+    code = f"import sys, {PACKAGE}.compare.run, {PACKAGE}.compare.sweep_page\nprint('matplotlib' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert (run.returncode, run.stdout.strip()) == (0, "False"), run.stderr
 
 
 def test_importing_the_package_itself_loads_no_numba():

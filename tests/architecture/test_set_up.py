@@ -73,6 +73,12 @@ def test_requirements_hold_one_bpy_for_each_python(job):
     assert sum(line.startswith("bpy==4.5.") and "3.11" in line for line in wanted) == 1
 
 
+@pytest.mark.parametrize("job", ["run", "test"])
+def test_both_commands_bring_what_draws_the_plots(job):
+    wanted = set_up.requirements(job, (ROOT / "pyproject.toml").read_text())
+    assert sum(line.startswith("matplotlib") for line in wanted) == 1
+
+
 def test_only_the_tests_need_pytest():
     pyproject = (ROOT / "pyproject.toml").read_text()
     assert not any(line.startswith("pytest") for line in set_up.requirements("run", pyproject))

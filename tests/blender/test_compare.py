@@ -1,6 +1,7 @@
 """`rtgi compare` and `rtgi bench` end to end, on a scene of three objects and a few pixels."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -52,10 +53,24 @@ def test_compare_writes_a_page_a_csv_a_plot_and_each_picture(compared):
     outcome, out, _ = compared
     assert (out / "compare.html").read_text(encoding="utf-8").count('<tr data-name=') == len(outcome["rows"])
     assert len((out / "compare.csv").read_text().splitlines()) == 1 + len(outcome["rows"])
-    assert (out / "speed_error.svg").read_text().startswith("<svg")
+    assert (out / "speed_error.svg").read_text(encoding="utf-8").startswith("<svg")
     names = {path.name for path in (out / "pictures").iterdir()}
     assert {"reference.png", "rtgi.png", "rtgi_error.png", "cycles_1_denoiser.png", "cycles_1_denoiser_error.png"} <= names
     assert len(names) == 1 + 2 * len(outcome["rows"])
+
+
+def test_compare_without_matplotlib_writes_all_but_the_plot(blend_path, tmp_path, monkeypatch):
+    from rtgi_addon.compare import plot
+    from rtgi_addon.compare.run import compare_scene
+
+    out = tmp_path / "compared"
+    out.mkdir()
+    (out / "speed_error.svg").write_text("of an earlier comparison")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    outcome = compare_scene(blend_path, out, ["rsm"], SAMPLES, SIZE, peers=(), cache=out / "references")
+    assert {path.name for path in out.iterdir() if path.is_file()} == {
+        "compare.html", "compare.csv", "compare.json", "compare.png"}
+    assert "plot" not in outcome["files"] and plot.MISSING in (out / "compare.html").read_text(encoding="utf-8")
 
 
 def test_no_peer_has_a_seed_of_a_reference():

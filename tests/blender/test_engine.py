@@ -242,6 +242,24 @@ def test_passes_put_the_picture_together_as_those_of_cycles_do(bpy_session, smal
     assert np.allclose(total, of("Combined", "Combined"), rtol=1e-5, atol=1e-6)
 
 
+def test_material_index_pass_holds_the_users_own_numbers(bpy_session, small_scene, tmp_path):
+    from rtgi_addon.imageio import read_exr
+
+    wall, settings = bpy_session.data.materials["Wall"], small_scene.render.image_settings
+    wall.node_tree.nodes["Principled BSDF"].inputs["IOR"].default_value = 1.3     # so that RTGI numbers them for itself
+    wall.pass_index = 7
+    small_scene.view_layers[0].use_pass_material_index = True
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    small_scene.render.filepath = str(tmp_path / "layers.exr")
+    bpy_session.ops.render.render(write_still=True)
+    index = next(values for name, values in read_exr(tmp_path / "layers.exr").items()
+                 if name.split(".")[-2] in ("IndexMA", "Material Index"))
+    assert 7 in index and set(np.unique(index)) <= {0.0, 7.0}
+    assert wall.pass_index == 7
+
+
 def test_missing_library_is_one_clear_line(bpy_session, small_scene, monkeypatch):
     from rtgi_addon import engine
 

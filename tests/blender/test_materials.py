@@ -97,6 +97,32 @@ def test_a_metal_reflects_nothing_diffusely(shown):
     assert material.roughness == pytest.approx(0.2, abs=1e-6)
 
 
+@pytest.mark.parametrize(("settings", "f0"), [
+    ({"IOR": 1.5}, 0.04), ({"IOR": 1.45}, (0.45 / 2.45) ** 2), ({"IOR": 1.5, "Specular_IOR_Level": 0.2}, 0.016),
+    ({"IOR": 1.5, "Metallic": 0.5}, 0.0), ({"IOR": 1.5, "Coat_Weight": 1.0, "Coat_IOR": 1.5}, 0.04)])
+def test_reflectance_at_normal_incidence_is_that_of_the_index_and_unknown_of_metals(shown, settings, f0):
+    shown.set(**settings)
+    material, table = shown.read()
+    assert material.f0 == pytest.approx(f0, rel=1e-4) == table.f0[1]
+
+
+def test_a_plain_glossy_node_reflects_alike_from_all_sides(shown):
+    node = shown.add("ShaderNodeBsdfGlossy")
+    shown.link(node.outputs[0], shown.output.inputs["Surface"])
+    assert shown.read()[0].f0 == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("settings", "asks"), [({}, False), ({"IOR": 1.33}, True), ({"Specular_IOR_Level": 0.1}, True),
+                                                ({"IOR": 1.33, "Metallic": 1.0}, False)])
+def test_materials_are_numbered_only_where_one_is_no_common_dielectric(bpy, shown, settings, asks):
+    from rtgi_addon.capture.needs import read_needs
+    from rtgi_addon.capture.versions import HAS_ROUGHNESS_PASS
+
+    shown.set(IOR=1.5)
+    shown.set(**settings)
+    assert read_needs(bpy.context.scene).material_index == (asks or not HAS_ROUGHNESS_PASS)
+
+
 def test_emission_is_colour_times_strength(shown):
     shown.set(Emission_Color=(1, 0.5, 0.25, 1), Emission_Strength=8.0)
     material, table = shown.read()

@@ -41,7 +41,7 @@ def sent(frame, i, j, towards, irradiance):
     g = frame.gbuffer
     return gloss_of_lamps(pack_lights(frame.lights, 100.0), vector(g.position_ws[i, j]), vector(g.normal_ws[i, j]), towards,
                           towards_camera(frame, g.position_ws[i, j]), vector(g.specular[i, j]), g.roughness[i, j],
-                          f32(irradiance), albedo_table(), f32(0.5), f32(0.5))
+                          g.f0[i, j], f32(irradiance), albedo_table(), f32(0.5), f32(0.5))
 
 
 def test_towards_the_camera_it_is_the_direct_glossy_light(frame):
@@ -75,7 +75,7 @@ def test_other_directions_are_as_the_triangles_lit_anew(frame):
         mine = np.array(sent(frame, i, j, towards, 1e9))
         lamps = pack_lights(bare.lights, 100.0)
         anew = np.array([light_of_lamps(bvh, lamps, stack, p, n, towards, black, vector(np.full(3, s)),
-                                        g.roughness[i, j], albedo_table(), f32(1e-5), f32(0.5), f32(0.5), f32(0.5))
+                                        g.roughness[i, j], f32(0), albedo_table(), f32(1e-5), f32(0.5), f32(0.5), f32(0.5))
                          for s in (0.02, 0.06, 0.12)])
         # between a reflectance of a third and of twice the one towards the camera: it follows the angle, not the lobe
         assert (mine > anew[0]).all() and (mine < anew[2]).all()

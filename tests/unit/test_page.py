@@ -4,12 +4,14 @@ import base64
 import csv
 import io
 import json
+import re
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
-from rtgi_addon.compare import page
+from rtgi_addon.compare import page, plot
 from rtgi_addon.compare.page import Shown
 
 SIZE = (12, 20)
@@ -38,10 +40,14 @@ def rows():
             shown("</script><b>odd</b>", seconds=0.4), *peers]
 
 
-@pytest.fixture
-def text(rows):
+def page_of(rows):
     return page.html_page("box & hall", ["20x12 px"], rows, "two halves of 64 samples", rows[0].display, rows[0].linear,
                           NOISE, FLOORS, ["EEVEE is left out."])
+
+
+@pytest.fixture
+def text(rows):
+    return page_of(rows)
 
 
 class Parsed(HTMLParser):
@@ -84,7 +90,7 @@ def test_page_needs_no_other_file_and_no_network(text):
         assert tag not in {"link", "iframe", "object"}
         for name in ("src", "href", "srcset", "data"):
             assert attributes.get(name, "data:").startswith(("data:", "#"))
-    assert "url(" not in text and "@import" not in text and "fetch(" not in text
+    assert re.search(r"url\((?!#)", text) is None and "@import" not in text and "fetch(" not in text
 
 
 def test_page_holds_each_picture_and_its_error_map(text, rows):
@@ -117,6 +123,20 @@ def test_page_says_what_ran_what_was_left_out_and_why(text):
 def test_page_names_the_crossing_with_cycles(text):
     said = " ".join(data for _, data in Parsed(text).text)
     assert "On the Pareto front" in said and "Cycles + denoiser comes down to RTGI's error of 2 %" in said
+
+
+def test_page_shows_the_plot(text):
+    assert text.count("<svg") == 1 and "Cycles + denoiser at equal error" in text and plot.MISSING not in text
+
+
+def test_page_without_matplotlib_has_all_but_the_plot_and_says_so(rows, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    text = page_of(rows)
+    parsed = Parsed(text)
+    assert parsed.open == [] and "<svg" not in text
+    assert [data for _, data in parsed.text].count(plot.MISSING) == 1
+    assert [a["data-name"] for tag, a in parsed.tags if tag == "tr" and "data-name" in a] == [row.name for row in rows]
+    assert len(data_of(text)["pictures"]) == 1 + len(rows) and "On the Pareto front" in text
 
 
 def test_stages_of_the_renders_that_have_them_are_in_the_page(text):

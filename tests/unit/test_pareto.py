@@ -1,12 +1,9 @@
-"""Speed against error: the front, the crossings, what is said of them, and the plot that shows them."""
-
-import xml.etree.ElementTree as ElementTree
+"""Speed against error: the front, the crossings, and what is said of them."""
 
 import pytest
 
 from rtgi_addon.compare import pareto
 from rtgi_addon.compare.pareto import Point
-from rtgi_addon.compare.plot import speed_error_svg
 
 EXACT = 1e-12               # logarithms of a few float64
 # error falls with the root of time: 8 % / sqrt(samples)
@@ -70,23 +67,6 @@ def test_every_place_of_a_curve_has_its_words(own, said):
     assert said in pareto.crossing(own, CYCLES, "Cycles")
 
 
-def test_plot_is_xml_with_every_point_in_it():
-    root = ElementTree.fromstring(speed_error_svg(ALL, "RTGI", 0.01))
-    titles = [node.text for node in root.iter("{http://www.w3.org/2000/svg}title")]
-    assert all(any(text.startswith(f"{p.name}: ") for text in titles) for p in ALL)
-    assert "noise of the reference" in [node.text for node in root.iter("{http://www.w3.org/2000/svg}text")]
-
-
-def test_plot_places_a_faster_point_to_the_left_and_a_nearer_one_below():
-    root = ElementTree.fromstring(speed_error_svg([Point("a", 1, 0.1), Point("b", 10, 0.01)], "none"))
-    a, b = root.iter("{http://www.w3.org/2000/svg}circle")
-    assert float(a.get("cx")) < float(b.get("cx")) and float(a.get("cy")) < float(b.get("cy"))
-
-
-def test_plot_of_names_that_are_no_markup_is_xml():
-    ElementTree.fromstring(speed_error_svg([Point("<a & b>", 1, 0.1)], "<a & b>"))
-
-
-@pytest.mark.parametrize("points", [[], [Point("perfect", 1.0, 0.0)]])
-def test_plot_of_nothing_that_logarithms_can_show_is_empty(points):
-    assert speed_error_svg(points, "RTGI") == ""
+def test_curve_that_is_never_as_near_has_no_crossing_point():
+    assert pareto.crossing_point(Point("RTGI", 0.5, 0.001), CYCLES, "Cycles") is None
+    assert pareto.crossing_point(CYCLES[1], CYCLES, "Cycles") is None

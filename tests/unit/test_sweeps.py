@@ -3,14 +3,14 @@
 import dataclasses
 import json
 import re
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
 
 from rtgi_addon import cli
-from rtgi_addon.compare import progress, sweep_page, sweeps
-from rtgi_addon.compare.plot import cost_svg
+from rtgi_addon.compare import plot, progress, sweep_page, sweeps
 from rtgi_addon.core.techniques import ALWAYS_ON, TECHNIQUE_PARAMS
 from rtgi_addon.errors import InputError
 
@@ -206,17 +206,11 @@ def test_small_stages_are_in_the_rest_and_all_adds_up():
     assert sweep_page.stage_table([line]) == {"total": [100.0], "large": [60.0], "rest": [40.0]}
 
 
-def test_cost_plot_draws_every_line_and_proportional_growth():
-    svg = cost_svg("<a & b>", "lamps", [1, 10, 100], {"total": [10, 20, 110], "stage": [1, 10, 100], "gone": [0, 0, 0]})
-    root = ElementTree.fromstring(svg)
-    texts = [node.text for node in root.iter("{http://www.w3.org/2000/svg}text")]
-    assert {"total", "stage", "lamps"} <= set(texts) and "gone" not in texts
-    assert len(list(root.iter("{http://www.w3.org/2000/svg}polyline"))) == 2
-
-
-@pytest.mark.parametrize(("work", "series"), [([1], {"total": [1.0]}), ([1, 2], {}), ([1, 2], {"total": [0.0, 1.0]})])
-def test_cost_plot_of_no_growth_is_empty(work, series):
-    assert cost_svg("nothing", "lamps", work, series) == ""
+def test_page_without_matplotlib_has_its_tables_and_says_what_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    text, plots = sweep_page.page_text(all_lines(), Path("images"), "# Benchmarks\n")
+    assert plots == {} and "![" not in text and text.count(plot.MISSING) == 1
+    assert "### room, " in text and "| exponent " in text
 
 
 def test_bad_scenes_repeats_and_axes_are_refused_before_anything_is_written(tmp_path, monkeypatch):
