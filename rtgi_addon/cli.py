@@ -394,6 +394,8 @@ def run_render(words: argparse.Namespace) -> int:
     check_scene(scene)
 
     frames = list(frames_to_render(words, scene.frame_current))
+    if len(frames) > 1:
+        scene.render.use_persistent_data = True      # what does not move stays between frames
     start = time.perf_counter()
     for done, frame in enumerate(frames):
         scene.frame_set(frame)

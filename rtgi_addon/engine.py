@@ -11,6 +11,7 @@ import numpy as np
 from .capture import geometry as capture_geometry
 from .capture import materials as capture_materials
 from .capture import world as capture_world
+from .capture.kept_views import KeptViews
 from .capture.lights import lights_out, read_lights
 from .capture.needs import read_needs
 from .capture.unsupported import unsupported_warnings
@@ -31,6 +32,7 @@ _last_result = None
 _shown_view = COMPOSITE
 _persistent_data: dict[str, bool] = {}
 _geometry_cache = capture_geometry.GeometryCache()
+_keeps_views = True
 _context = None
 
 
@@ -63,6 +65,17 @@ def show_view(name):
     _write_image()
 
 
+@contextlib.contextmanager
+def every_view_anew():
+    """For the time of the block lamps' views are rendered in every frame, as in a single one, also where nothing moved."""
+    global _keeps_views
+    before, _keeps_views = _keeps_views, False
+    try:
+        yield
+    finally:
+        _keeps_views = before
+
+
 def _shared_context():
     """One pass context for all renders, so that the BVH of an unchanged scene is kept between frames."""
     global _context
@@ -86,6 +99,7 @@ class RTGIEngine(bpy.types.RenderEngine):
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
         self.session = None
+        self._kept = KeptViews()
         self._open = contextlib.ExitStack()      # what is put on the evaluated copies between update and the end of render
 
     def __del__(self):
@@ -125,7 +139,9 @@ class RTGIEngine(bpy.types.RenderEngine):
     def _prepare(self, data, depsgraph):
         scene = depsgraph.scene_eval
         cycles = scene.cycles
+        self._kept.note_updates(depsgraph)
         cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = 1, False, False
+        cycles.seed, cycles.use_animated_seed = 0, False             # a view of the same is the same in every frame
         cycles.max_bounces, cycles.use_light_tree, cycles.use_guiding = 0, False, False
         # no bounce still follows a path to its next surface and shades that, unless ambient occlusion is to stand in for it
         cycles.use_fast_gi, cycles.fast_gi_method, cycles.ao_bounces_render = True, "REPLACE", 1
@@ -219,6 +235,9 @@ class RTGIEngine(bpy.types.RenderEngine):
         context.checkpoint("Read triangles", 0.0)
         with stages("triangles"):
             geometry = capture_geometry.read_geometry(depsgraph, self._materials, self._origin_ws, _geometry_cache)
+            self._kept.settle(geometry, _geometry_cache.ranges, self._origin_ws, self._materials.evaluated)
+            if not _keeps_views:
+                self._kept.forget()
         views = ViewCapture(self, self._data, depsgraph, self._origin_ws, self._materials)
         context.checkpoint("Camera view", 0.05)
         with stages("camera view"):
@@ -245,12 +264,15 @@ class RTGIEngine(bpy.types.RenderEngine):
             if light_camera is None:
                 continue
             with stages("light views"):
-                if cast:
+                near_m, far_m = light_views.clip_range_m(light, light_camera, frame)
+                seen = self._kept.find(light, light_camera, near_m)
+                if seen is None and cast:
                     with kernel_session(settings.threads):
-                        captured.append(light_views.cast_view(i, light, light_camera, frame, bvh))
-                    continue
-                with views.looking_through(light_camera, *light_views.clip_range_m(light, light_camera, frame)):
-                    seen = views.to_gbuffer(views.passes(light_camera), light_camera)
+                        seen = light_views.cast_view(light, light_camera, frame, bvh)
+                elif seen is None:
+                    with views.looking_through(light_camera, near_m, far_m):
+                        seen = views.to_gbuffer(views.passes(light_camera), light_camera)
+                self._kept.put(light, light_camera, near_m, seen)
                 captured.append(light_views.view_of(i, light, light_camera, seen))
         with stages("world"):
             world = self._capture_world(views, width, height)

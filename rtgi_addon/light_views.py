@@ -94,12 +94,14 @@ def clip_range_m(light: Light, camera: Camera, frame: Frame) -> tuple[float, flo
     low, high = (v.astype(np.float64) for v in frame.geometry.bounds_ws)
     scale = float(np.linalg.norm(high - low))
     farthest = float(np.linalg.norm(np.maximum(np.abs(low - camera.position_ws), np.abs(high - camera.position_ws))))
-    near = max(light.radius_m, 1e-5 * scale) if light.kind in (LightKind.POINT, LightKind.SPOT) else 1e-5 * scale
-    return max(near, 1e-6), 2 * farthest + scale + 1e-3
+    # a power of two, so that it does not follow all that moves: depths are rounded with it
+    hair = 2.0 ** math.floor(math.log2(max(1e-5 * scale, 1e-6)))
+    near = max(light.radius_m, hair) if light.kind in (LightKind.POINT, LightKind.SPOT) else hair
+    return near, 2 * farthest + scale + 1e-3
 
 
-def cast_view(light_index: int, light: Light, camera: Camera, frame: Frame, bvh: Bvh) -> LightView:
-    """A lamp's view by rays through the triangles: geometric normals, colours as sampled at the corners."""
+def cast_view(light: Light, camera: Camera, frame: Frame, bvh: Bvh) -> GBuffer:
+    """What a lamp sees, by rays through the triangles: geometric normals, colours as sampled at the corners."""
     origin_vs, direction_vs = camera.rays_vs()
     rotation = camera.world_from_view[:3, :3]
     origin = (origin_vs.reshape(-1, 3) @ rotation.T + camera.position_ws).astype(np.float32)
@@ -127,10 +129,9 @@ def cast_view(light_index: int, light: Light, camera: Camera, frame: Frame, bvh:
         specular[hit] = np.array([np.divide(m.specular, max(m.alpha, 1e-3)) for m in materials], np.float32)[index]
         roughness[hit] = np.array([m.roughness for m in materials], np.float32)[index]
         f0[hit] = np.array([m.f0 for m in materials], np.float32)[index]
-    gbuffer = GBuffer(depth.reshape(shape), position.reshape(*shape, 3), normal.reshape(*shape, 3),
-                      albedo.reshape(*shape, 3), specular.reshape(*shape, 3), roughness.reshape(shape),
-                      emission.reshape(*shape, 3), f0.reshape(shape))
-    return view_of(light_index, light, camera, gbuffer)
+    return GBuffer(depth.reshape(shape), position.reshape(*shape, 3), normal.reshape(*shape, 3),
+                   albedo.reshape(*shape, 3), specular.reshape(*shape, 3), roughness.reshape(shape),
+                   emission.reshape(*shape, 3), f0.reshape(shape))
 
 
 def view_of(light_index: int, light: Light, camera: Camera, gbuffer: GBuffer) -> LightView:

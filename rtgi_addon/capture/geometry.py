@@ -49,11 +49,26 @@ class _Opacities:
     traces: tuple[tuple, ...]
 
 
+@dataclass(frozen=True)
+class Range:
+    """Triangles start to stop of a Geometry that come with one object; `owners` are addresses of originals.
+
+    Those of the object, of its data, and of what makes an instance of it.
+    """
+
+    owners: frozenset[int]
+    start: int
+    stop: int
+
+
+Ranges = tuple[Range, ...]
+
+
 @dataclass
 class GeometryCache:
     """What stays between frames. One engine keeps one; everything not used in a frame is dropped at its end.
 
-    `materials` is for `read_materials`, whose textures both share.
+    `materials` is for `read_materials`, whose textures both share; `ranges` tell whose triangles the last frame's are.
     """
 
     materials: MaterialCache = field(default_factory=MaterialCache)
@@ -61,6 +76,7 @@ class GeometryCache:
     colours: dict[tuple, _Colours] = field(default_factory=dict)
     opacities: dict[tuple, Opacity | None] = field(default_factory=dict)
     joined: tuple[list[_Colours], int, tuple] = ([], 0, ())
+    ranges: Ranges = ()
 
 
 def _lattice(splits: int) -> tuple[np.ndarray, np.ndarray]:
@@ -326,6 +342,12 @@ def _place(positions: np.ndarray, matrix: np.ndarray, origin_ws: np.ndarray) -> 
     return placed
 
 
+def _owners(instance: bpy.types.DepsgraphObjectInstance) -> frozenset[int]:
+    source, parent = instance.object, instance.parent if instance.is_instance else None
+    found = (source.original, source.data.original if source.data else None, parent.original if parent else None)
+    return frozenset(owner.as_pointer() for owner in found if owner is not None)
+
+
 def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_ws: np.ndarray,
                   cache: GeometryCache | None = None) -> Geometry:
     """Triangles of everything in the evaluated scene that rays can meet, instances included.
@@ -348,7 +370,7 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
     opacities = _read_opacities(table, cache)
     origin_ws = np.asarray(origin_ws, np.float64)
     parts: dict[tuple, _Part | None] = {}
-    placed, vertices, colours = [], [], []
+    placed, vertices, colours, owners = [], [], [], []
     for instance in depsgraph.object_instances:
         source = instance.object
         if source.type not in SURFACE_TYPES or not instance.show_self or not _is_met_by_rays(source):
@@ -364,6 +386,9 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
         placed.append(_place(part.positions, matrix, origin_ws))
         vertices.append(part.vertices)
         colours.append(part.colours)
+        owners.append(_owners(instance))
+    stops = np.cumsum([len(v) for v in vertices], dtype=np.int64).tolist()
+    cache.ranges = tuple(Range(*r) for r in zip(owners, [0, *stops], stops, strict=False))
     cache.topologies, cache.colours = kept.topologies, kept.colours
     if not placed:
         return Geometry.empty()
