@@ -129,6 +129,11 @@ def parse_share(text: str, option: str, what: str) -> float:
     return value
 
 
+def parse_error(text: str) -> float:
+    """"2%" or "0.02" to 0.02; InputError unless it lies between 0 and 100 %."""
+    return parse_share(text, "--target-error", "error")
+
+
 def parse_time(text: str) -> float:
     """"1.5s", "800ms" or "1.5" to seconds; InputError for anything that is no time above zero."""
     match = re.fullmatch(r"([0-9.eE+-]+)\s*(ms|s|)", text.strip())
@@ -284,9 +289,9 @@ def settings_from_words(words: argparse.Namespace, before: Settings) -> Settings
     if words.preset is not None:
         settings = dataclasses.replace(settings, preset=words.preset, params=preset_params(words.preset), target_time_s=0.0,
                                        target_error=0.0)
-    if words.target_time is not None or words.target_error is not None:
-        settings = dataclasses.replace(settings, target_time_s=words.target_time or 0.0,
-                                       target_error=words.target_error or 0.0)
+    if words.target_time or words.target_error:
+        settings = dataclasses.replace(settings, target_time_s=parse_time(words.target_time) if words.target_time else 0.0,
+                                       target_error=parse_error(words.target_error) if words.target_error else 0.0)
     if words.techniques is not None:
         names = parse_techniques(words.techniques)
         wanted = TECHNIQUE_PARAMS if names is None else (*ALWAYS_ON, *names)
@@ -366,8 +371,9 @@ def run_render(words: argparse.Namespace) -> int:
     size = parse_size(words.size) if words.size else None
     words.frames = parse_frames(words.frames) if words.frames else None
     words.preset = parse_preset(words.preset) if words.preset else None
-    words.target_time = parse_time(words.target_time) if words.target_time else None
-    words.target_error = (parse_share(words.target_error, "--target-error", "error") if words.target_error else None)
+    for text, parse in ((words.target_time, parse_time), (words.target_error, parse_error)):
+        if text:
+            parse(text)
     if words.techniques:
         parse_techniques(words.techniques)
     check_output(words.output, (".exr", ".png"))
@@ -514,6 +520,9 @@ def run_bench(words: argparse.Namespace) -> int:
     axes = parse_axes(words.sweep) if words.sweep else None
     size = parse_size(words.size)
     presets = [parse_preset(name) for name in words.presets.split(",")] if words.presets else None
+    peers, eevee = parse_peers(words.peers)
+    if eevee:
+        raise InputError("rtgi bench does not measure EEVEE; rtgi compare does")
     for scene in words.scenes:
         refuse_newer(Path(scene), (sys.maxsize, 0))
     _blender()
@@ -530,7 +539,7 @@ def run_bench(words: argparse.Namespace) -> int:
         return DONE if any("seconds" in line for line in lines) else FAILED
     from .compare.bench import bench
 
-    bench(words.scenes, words.output, size, words.repeats, words.samples, presets, threads=words.threads or 0,
+    bench(words.scenes, words.output, size, words.repeats, words.samples, presets, peers, threads=words.threads or 0,
           reference=words.reference)
     return DONE
 
@@ -563,9 +572,10 @@ def _add_render(commands: Any) -> None:
     parser.add_argument("--preset", metavar="NAME", help="draft, balanced or quality")
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--target-time", metavar="TIME",
-                        help="of a whole frame, such as 1.5s: the least error that was measured for what capture leaves of it")
+                        help="of a whole frame, such as 1.5s: the settings with the least measured error that fit into it")
     budget.add_argument("--target-error", metavar="ERROR",
-                        help="of the picture, such as 2%%: the least time that was measured for it; both stand above a preset")
+                        help="of the picture, such as 2%%: the fastest settings that were measured to reach it; both stand "
+                             "above a preset")
     parser.add_argument("--set", action="append", default=[], metavar="TECHNIQUE.NAME=VALUE",
                         help="one setting, such as rsm.rays=64; may be repeated; rtgi settings lists them")
     parser.add_argument("--size", metavar="WxH", help="picture size in px, such as 960x540")
@@ -629,6 +639,8 @@ def _add_bench(commands: Any) -> None:
     parser.add_argument("--sweep", metavar="LIST", help="what to change, with commas, or all; the list is below")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="DIR", help="folder for the results")
     parser.add_argument("--presets", metavar="LIST", help="presets of RTGI, with commas; all if left out")
+    parser.add_argument("--peers", default="1,4", metavar="LIST",
+                        help="samples of denoised Cycles to stand beside, or none; 1,4 if left out; 16 is Quality's")
     parser.add_argument("--repeats", type=_count, default=3, metavar="N", help="timed frames, after one that is not; 3")
     parser.add_argument("--samples", type=int, default=256, metavar="N",
                         help="samples a pixel of each half of the reference, 0 for times alone; 256")

@@ -32,6 +32,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "kernels": frozenset({"llvmlite", "numpy", "numba", "rtgi_addon.kernels", "rtgi_addon.core.cache_root"}),
     "passes": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.kernels", "rtgi_addon.passes", "rtgi_addon.errors"}),
     "planner": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.passes", "rtgi_addon.errors"}),
+    "budget": frozenset({"rtgi_addon.core", "rtgi_addon.kernels.jit", "rtgi_addon.kernels.probe", "rtgi_addon.planner"}),
     "composite": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.passes", "rtgi_addon.errors"}),
     "frameio": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.errors"}),
     "light_views": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.kernels", "rtgi_addon.errors"}),

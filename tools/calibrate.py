@@ -8,8 +8,9 @@ page. Needs bpy, and a quiet machine.
 
 On each scene every technique runs with every setting of `GRIDS`, on the same captured frame, all others as in the preset
 Quality. Errors are those of the technique's part at 640x360, over the light of the whole picture, with the reference's own
-noise taken off. Times are the lesser of two runs, or one long one's, at each of `SIZES`; the rooms of `rtgi bench --sweep`, which have up to
-a million triangles and 32 lamps, add times alone.
+noise taken off. Times are the lesser of two runs, or one long one's, at each of `SIZES`. At the largest size, and in the
+rooms of `rtgi bench --sweep`, which have up to a million triangles and 32 lamps, the presets' settings add times alone.
+Scenes with square lamps run once more with shining panels in their place, for what lights by emission.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import math
 import os
 import statistics
 import sys
-import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from rtgi_addon.budget import TABLE, UNIT_PIXELS, UNIT_TRIANGLES, Step, Table, table_from_json  # noqa: E402
+from rtgi_addon.budget import TABLE, UNIT_PIXELS, UNIT_TRIANGLES, TimeLaw, Work  # noqa: E402
 from rtgi_addon.compare.report import percent  # noqa: E402
 from rtgi_addon.core.settings import PRESETS  # noqa: E402
 from rtgi_addon.core.techniques import (  # noqa: E402
@@ -49,6 +50,7 @@ SIZES = ((320, 180), (640, 360), (960, 540))
 ERROR_SIZE = (640, 360)
 LONG_MS = 400               # a time that is not taken twice
 LAMPS, TRIANGLES = (1, 4, 16, 32), (5120, 81920, 1310720)      # of the rooms
+OWN_STAGES = ("composite", "write")     # of the frame itself: neither of capture nor of a technique
 PAGE = ROOT / "docs" / "calibration.md"
 PRESET_NAMES = tuple(name for name, _, _ in PRESETS)
 
@@ -120,18 +122,23 @@ def _plans(frame: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield name, tuple(t for t in TECHNIQUE_PARAMS if t == name or (t in everything and t not in rivals))
 
 
-def _samples(scene: str, frame: Any, truth: Any, grids: dict[str, list[dict[str, Any]]]) -> Iterator[Sample]:
-    """All settings of all techniques on a captured frame."""
+def _work_of(frame: Any) -> tuple[float, float, float, float]:
+    """Fields of a Sample: surface pixels, triangles, lamps, share of the pixels that are glossy."""
+    from rtgi_addon.planner import CapturePlan, plan_frame
+
+    facts = plan_frame(frame, default_settings(), CapturePlan()).facts
+    return facts["surface_pixels"], facts["triangles"], facts["lights"], facts["glossy_share"]
+
+
+def _samples(scene: str, frame: Any, truth: Any, settings: dict[str, Sequence[int]]) -> Iterator[Sample]:
+    """The settings, by technique and place in `GRIDS`, on a captured frame."""
     from rtgi_addon.composite import merge
     from rtgi_addon.core.mending import mend_frame
     from rtgi_addon.kernels.jit import compiled_s, kernel_session
     from rtgi_addon.passes import TECHNIQUES
     from rtgi_addon.passes.base import Context
-    from rtgi_addon.planner import CapturePlan, Plan, plan_frame
 
     context, frame = Context(), mend_frame(frame)
-    facts = plan_frame(frame, default_settings(), CapturePlan()).facts
-    work = facts["surface_pixels"], facts["triangles"], facts["lights"], facts["glossy_share"]
     best = preset_params("QUALITY")
 
     def computed(name: str, before: list, names: tuple[str, ...], params: Any) -> Any:
@@ -157,21 +164,15 @@ def _samples(scene: str, frame: Any, truth: Any, grids: dict[str, list[dict[str,
             # reflections only read other light; they add none to the other parts
             after = [] if truth is None else [
                 result_of(other, names) for other in names[names.index(name) + 1:] if other != "ssr"]
-            for number, params in enumerate(grids[name]):
-                made = dataclasses.replace(TECHNIQUE_PARAMS[name](), **params)
+            for number in settings.get(name, ()):
+                made = dataclasses.replace(TECHNIQUE_PARAMS[name](), **GRIDS[name][number])
                 times: list[float] = []
                 while len(times) < 2 and sum(times) < LONG_MS:
-                    start, compiled = _now(), compiled_s()
+                    start = time.perf_counter() - compiled_s()
                     result = computed(name, before, names, made)
-                    times.append(1e3 * (_now() - start - (compiled_s() - compiled)))
+                    times.append(1e3 * (time.perf_counter() - compiled_s() - start))
                 error = None if truth is None else _error(merge([*before, (name, result), *after]), name, truth)
-                yield Sample(name, number, scene, *work, min(times), error)
-
-
-def _now() -> float:
-    import time
-
-    return time.perf_counter()
+                yield Sample(name, number, scene, *_work_of(frame), min(times), error)
 
 
 def _error(light: dict[Any, np.ndarray], name: str, truth: Any) -> float | None:
@@ -196,46 +197,39 @@ def measure(paths: Sequence[Path]) -> tuple[list[Sample], list[Sample]]:
     from rtgi_addon.compare.progress import say
     from rtgi_addon.compare.references import reference_for
     from rtgi_addon.compare.rooms import ROOMS
-    from rtgi_addon.planner import CapturePlan, plan_frame
-    from tools.scene_frames import captured
+    from tools.scene_frames import captured, panel_lamps, reference_under, with_panels
 
     found, rest = [], []
 
-    def at_sizes(name: str, open_again: Any, path: Path | None, sizes: Sequence[tuple[int, int]],
-                 grids: dict[str, list[dict[str, Any]]]) -> None:
-        scene = open_again()
+    def add(name: str, scene: Any, truth: Any, size: tuple[int, int], settings: dict[str, Sequence[int]]) -> None:
         with blender.on_threads(scene, ARGUMENTS.threads):
-            for size in sizes:
-                truth = None
-                if path is not None and size == ERROR_SIZE:
-                    truth = reference_for(scene, path, size, ARGUMENTS.samples, ARGUMENTS.cache, ARGUMENTS.references)
-                say(f"{name}, {size[0]}x{size[1]}")
-                captured(scene, size)
-                with blender.keeping_data(scene):
-                    frames = blender.render_rtgi_frames(scene, default_settings(), 3, size)[1:]
-                frame, _ = captured(scene, size)
-                facts = plan_frame(frame, default_settings(), CapturePlan()).facts
-                stages = [1e3 * seconds - sum(s["ms"] for s in result.report["stages"]
-                                              if s["name"] not in ("composite", "write")) for result, seconds in frames]
-                rest.append(Sample("rest", 0, name, facts["surface_pixels"], facts["triangles"], facts["lights"],
-                                   facts["glossy_share"], max(min(stages), 1.0)))
-                found.extend(_samples(name, frame, truth, grids))
+            say(f"{name}, {size[0]}x{size[1]}")
+            frame, _ = captured(scene, size)
+            with blender.keeping_data(scene):
+                frames = blender.render_rtgi_frames(scene, default_settings(), 3, size)[1:]
+            beside = [1e3 * seconds - sum(s["ms"] for s in result.report["stages"] if s["name"] not in OWN_STAGES)
+                      for result, seconds in frames]
+            rest.append(Sample("rest", 0, name, *_work_of(frame), max(min(beside), 1.0)))
+            found.extend(_samples(name, frame, truth, settings))
 
+    everything = {name: range(len(settings)) for name, settings in GRIDS.items()}
+    presets = {name: [settings.index(s) for s in _of_presets(name)] for name, settings in GRIDS.items()}
+    shining = {name: everything[name] for name in ("emission", "final_gather")}
     for path in paths:
-        at_sizes(path.stem, lambda path=path: blender.open_scene(path), path, SIZES, GRIDS)
-    few = {name: _of_presets(name) for name in GRIDS}
-    with tempfile.TemporaryDirectory() as _:
-        for what, counts in (("lights", LAMPS), ("triangles", TRIANGLES)):
-            for count in counts:
-                def room(what: str = what, count: int = count) -> Any:
-                    ROOMS[what](count)
-                    return blender.current_scene()
-
-                at_sizes(f"room of {count} {what}", room, None, (ERROR_SIZE,), few)
-    # the settings of rooms by their place in GRIDS
-    places = {(name, i): GRIDS[name].index(params) for name in GRIDS for i, params in enumerate(few[name])}
-    return [dataclasses.replace(s, setting=places[s.technique, s.setting]) if s.scene.startswith("room of ") else s
-            for s in found], rest
+        for size in SIZES:
+            scene, truth = blender.open_scene(path), None
+            if size == ERROR_SIZE:
+                truth = reference_for(scene, path, size, ARGUMENTS.samples, ARGUMENTS.cache, ARGUMENTS.references)
+            add(path.stem, scene, truth, size, presets if size == SIZES[-1] else everything)
+        if panel_lamps(scene):
+            with with_panels(scene):
+                truth = reference_under(scene, path, "shining_panels", ERROR_SIZE, ARGUMENTS.samples, ARGUMENTS.cache)
+                add(f"{path.stem} with panels", scene, truth, ERROR_SIZE, shining)
+    for what, counts in (("lights", LAMPS), ("triangles", TRIANGLES)):
+        for count in counts:
+            ROOMS[what](count)
+            add(f"room of {count} {what}", blender.current_scene(), None, ERROR_SIZE, presets)
+    return found, rest
 
 
 # ---- fitting ----
@@ -275,8 +269,6 @@ def fit_laws(samples: Sequence[Sample]) -> dict[int, dict[str, float]]:
 
 def spread_of(samples: Sequence[Sample], laws: dict[int, dict[str, float]]) -> float:
     """Root mean square of log(measured / law), as a factor: 1.3 is off by 30 % typically."""
-    from rtgi_addon.budget import TimeLaw, Work
-
     misses = [math.log(s.ms / TimeLaw(**laws[s.setting])(Work(s.pixels, s.triangles, s.lamps, s.glossy_share)))
               for s in samples]
     return math.exp(math.sqrt(statistics.fmean(miss * miss for miss in misses)))
@@ -353,8 +345,9 @@ def page_of(words: dict[str, Any]) -> str:
         for kind in ("steps", "off"):
             for setting in entry[kind]:
                 presets = [p.lower() for p in PRESET_NAMES if PRESET_PARAMS[p][name].items() <= _all(name, setting).items()]
+                errors = (percent(setting[k]) for k in ("error", "high_error", "mean_error"))
                 cells = [", ".join(f"`{field}` {value}" for field, value in setting["params"].items()),
-                         f"{setting['typical_ms']:.0f} ms", *(percent(setting[k]) for k in ("error", "high_error", "mean_error")),
+                         f"{setting['typical_ms']:.0f} ms", *errors,
                          "yes" if kind == "steps" else "", ", ".join(presets)]
                 rows.append((setting["typical_ms"], cells))
         table = markdown_table(["setting", "time", "error: median", "quartile", "mean", "on the front", "preset"],

@@ -24,6 +24,7 @@ from ..core.techniques import TECHNIQUE_PARAMS
 from ..errors import InputError, RtgiError
 from ..imageio import replacing
 from ..pipeline import peak_memory_mb, versions
+from . import targets
 from .child import child_command, child_environment, end
 from .measure import errors_of, noise_of, picture_errors
 from .report import percent, text_table
@@ -212,6 +213,7 @@ def markdown(records: Sequence[dict[str, Any]]) -> str:
             parts.append(_errors_table(measured))
         if any(len(r["rtgi"]) > 1 for r in group):
             parts.append(_presets(group))
+        parts.append(targets.table(group))
     return "\n\n".join(parts) + "\n"
 
 

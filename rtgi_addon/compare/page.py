@@ -20,6 +20,7 @@ import numpy as np
 
 from . import pareto, plot
 from .report import ERROR_SCALE, ERROR_WINDOW_PX, colour_table, error_map, percent, png_bytes
+from .targets import slowest
 
 MOST_PX = 960               # width of the pictures in the page: a page of 1920 px and twenty renders would be 80 MB
 _NOISY = 0.5                # an error less than twice the noise in it is mostly noise
@@ -173,6 +174,9 @@ def summary_words(rows: Sequence[Shown], noise: dict[str, float]) -> list[str]:
         worst, part = max(parts)
         name = "direct light" if part == "direct" else part
         said.append(f"Of the kinds of light the {name} is off most, by {percent(worst)} of the picture's light.")
+    stages = {stage["name"]: stage["ms"] for stage in own.report.get("stages", ())}
+    if stages:
+        said.append(f"Of its time most goes to {slowest(stages, 1e3 * own.seconds).replace(', ', ' and ')}.")
     if noise["picture"] > _NOISY * block:
         said.append(f"The reference's own noise, {percent(noise['picture'])}, is a large part of these errors: more samples "
                     "(--samples, --noise) tell more.")

@@ -82,8 +82,8 @@ def _scene_group() -> type:
                    ("ERROR", "Target Error", "The least time that was measured for an error")]),
         "target_time_s": bpy.props.FloatProperty(
             name="Time", default=1.0, min=0.01, max=3600.0, soft_max=30.0, unit="TIME_ABSOLUTE",
-            description="Of a whole frame, capture with it. The forecast comes from the calibration and is corrected by what "
-                        "each frame takes; compiling is not counted"),
+            description="Of a whole frame, capture with it. The forecast comes from the calibration, and what each frame "
+                        "takes corrects it; compiling is not counted"),
         "target_error_percent": bpy.props.FloatProperty(
             name="Error", default=3.0, min=0.01, max=99.0, soft_min=0.5, soft_max=20.0, subtype="PERCENTAGE",
             description="Relative error of the picture in means of 8x8 pixels, as typical of the scenes that were measured; "
