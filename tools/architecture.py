@@ -53,7 +53,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
         "rtgi_addon.light_views"},
     "imageio": BLENDER | {"numpy", "rtgi_addon.core", "rtgi_addon.errors"},
     "engine": BLENDER | {
-        "numpy", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.errors", "rtgi_addon.kernels.jit",
+        "numpy", "rtgi_addon.budget", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.errors", "rtgi_addon.kernels.jit",
         "rtgi_addon.light_views", "rtgi_addon.passes", "rtgi_addon.pipeline", "rtgi_addon.planner", "rtgi_addon.ui.props"},
     "ui": BLENDER | {"numpy", "rtgi_addon"},
     "cli": BLENDER | {"numpy", "rtgi_addon"},

@@ -7,10 +7,10 @@ import pytest
 from rtgi_addon.compare import targets
 
 
-def row(seconds, block=None, direct=0.01, bounce=0.03, **stages_ms):
+def row(seconds, block=None, **stages_ms):
     found = {"seconds": seconds, "stages_ms": stages_ms}
     if block is not None:
-        found["errors"] = {"picture": {"block": block}, "direct": {"of_picture": direct}, "bounce": {"of_picture": bounce},
+        found["errors"] = {"picture": {"block": block}, "direct": {"of_picture": 0.01}, "bounce": {"of_picture": 0.03},
                            "glossy bounce": {"of_picture": 0.002}}
     return found
 
