@@ -110,6 +110,14 @@ def _package(name: str, mend: str) -> Finding:
     return Finding(name, module.__version__)
 
 
+def _plots() -> Finding:
+    """matplotlib draws plots where it is there, and nothing else needs it: without it nothing is wrong."""
+    from .compare import plot
+
+    found = "drawn by matplotlib" if plot.available() else "none, since there is no matplotlib; reports have all else"
+    return Finding("plots", found)
+
+
 def _threads() -> Iterator[Finding]:
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     yield Finding("processors", f"{os.cpu_count()}, {usable} for this process")
@@ -153,4 +161,5 @@ def examine() -> Iterator[Finding]:
     yield numba
     if not numba.mend:
         yield from _threads()
+    yield _plots()
     yield _cache()

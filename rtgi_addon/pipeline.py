@@ -17,7 +17,7 @@ from .core.frame import Frame
 from .core.mending import mend_frame
 from .core.settings import Settings
 from .kernels.embree import embree_version
-from .kernels.jit import compiled_s, kernel_session
+from .kernels.jit import compiled_s, kernel_session, most_threads
 from .passes import TECHNIQUES
 from .passes.base import Context, Transport
 from .planner import Plan
@@ -138,7 +138,7 @@ def run(frame: Frame, plan: Plan, settings: Settings, context: Context | None = 
     report = {
         "plan": plan.to_json(), "stages": stages.to_json(), "total_ms": round(stages.total_ms, 2),
         "jit_ms": round(stages.jit_ms, 2),
-        "peak_memory_mb": round(peak_memory_mb(), 1), "threads": settings.threads,
+        "peak_memory_mb": round(peak_memory_mb(), 1), "threads": min(settings.threads or most_threads(), most_threads()),
         "versions": versions(), "warnings": list(frame.warnings),
         "diagnostics": {name: result.diagnostics for name, result in results},
     }

@@ -50,6 +50,7 @@ SIZES = ((320, 180), (640, 360), (960, 540))
 ERROR_SIZE = (640, 360)
 LONG_MS = 400               # a time that is not taken twice
 LAMPS, TRIANGLES = (1, 4, 16, 32), (5120, 81920, 1310720)      # of the rooms
+REST = "rest"
 OWN_STAGES = ("composite", "write")     # of the frame itself: neither of capture nor of a technique
 PAGE = ROOT / "docs" / "calibration.md"
 PRESET_NAMES = tuple(name for name, _, _ in PRESETS)
@@ -86,8 +87,6 @@ GRIDS: dict[str, list[dict[str, Any]]] = {
 # the part of the reference that a technique's light is held against
 PARTS = {"direct": "direct", "world": "direct", "emission": "direct", "hbao": "direct", "ssao": "direct",
          "ssr": "glossy bounce"}
-OWN_LIGHT = ("rsm", "vxgi", "lpv", "ssdo")      # one of these supplies the bounce of lamps
-SKY_SHADOWS = ("world", "hbao", "ssao")         # one of these supplies the sky's light
 
 
 @dataclass(frozen=True)
@@ -109,6 +108,7 @@ class Sample:
 
 def _plans(frame: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
     """(technique, what runs before and with it) for every technique that the frame has light for."""
+    from rtgi_addon.passes import TECHNIQUES
     from rtgi_addon.planner import CapturePlan, plan_frame
 
     everything = plan_frame(frame, default_settings(), CapturePlan()).techniques
@@ -118,8 +118,9 @@ def _plans(frame: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield name, everything
         elif name not in ALWAYS_ON and name in plan_frame(frame, alone, CapturePlan()).techniques or (
                 name == "ssdo" and "rsm" in everything):
-            rivals = OWN_LIGHT if name in OWN_LIGHT else SKY_SHADOWS if name in SKY_SHADOWS else ()
-            yield name, tuple(t for t in TECHNIQUE_PARAMS if t == name or (t in everything and t not in rivals))
+            mine = TECHNIQUES[name].transports
+            yield name, tuple(t for t in TECHNIQUE_PARAMS
+                              if t == name or (t in everything and mine.isdisjoint(TECHNIQUES[t].transports)))
 
 
 def _work_of(frame: Any) -> tuple[float, float, float, float]:
@@ -191,6 +192,11 @@ def _error(light: dict[Any, np.ndarray], name: str, truth: Any) -> float | None:
     return share * math.sqrt(max(seen * seen - noise * noise, 0.0))
 
 
+def _kept(path: Path | None) -> dict[str, list[dict[str, Any]]]:
+    """Samples by scene and size that an earlier run of the command left there."""
+    return json.loads(path.read_text(encoding="utf-8")) if path is not None and path.is_file() else {}
+
+
 def measure(paths: Sequence[Path]) -> tuple[list[Sample], list[Sample]]:
     """(samples of techniques, samples of the rest of a frame) of all scenes and rooms."""
     from rtgi_addon.compare import reference as blender
@@ -199,9 +205,22 @@ def measure(paths: Sequence[Path]) -> tuple[list[Sample], list[Sample]]:
     from rtgi_addon.compare.rooms import ROOMS
     from tools.scene_frames import captured, panel_lamps, reference_under, with_panels
 
-    found, rest = [], []
+    found: list[Sample] = []
+    rest: list[Sample] = []
+    kept = _kept(ARGUMENTS.records)
 
     def add(name: str, scene: Any, truth: Any, size: tuple[int, int], settings: dict[str, Sequence[int]]) -> None:
+        place = f"{name} {size[0]}x{size[1]}"
+        if place not in kept:
+            measured = list(measured_at(name, scene, truth, size, settings))
+            kept[place] = [dataclasses.asdict(sample) for sample in measured]
+            if ARGUMENTS.records:
+                ARGUMENTS.records.write_text(json.dumps(kept))
+        for words in kept[place]:
+            (rest if words["technique"] == REST else found).append(Sample(**words))
+
+    def measured_at(name: str, scene: Any, truth: Any, size: tuple[int, int],
+                    settings: dict[str, Sequence[int]]) -> Iterator[Sample]:
         with blender.on_threads(scene, ARGUMENTS.threads):
             say(f"{name}, {size[0]}x{size[1]}")
             frame, _ = captured(scene, size)
@@ -209,8 +228,8 @@ def measure(paths: Sequence[Path]) -> tuple[list[Sample], list[Sample]]:
                 frames = blender.render_rtgi_frames(scene, default_settings(), 3, size)[1:]
             beside = [1e3 * seconds - sum(s["ms"] for s in result.report["stages"] if s["name"] not in OWN_STAGES)
                       for result, seconds in frames]
-            rest.append(Sample("rest", 0, name, *_work_of(frame), max(min(beside), 1.0)))
-            found.extend(_samples(name, frame, truth, settings))
+            yield Sample(REST, 0, name, *_work_of(frame), max(min(beside), 1.0))
+            yield from _samples(name, frame, truth, settings)
 
     everything = {name: range(len(settings)) for name, settings in GRIDS.items()}
     presets = {name: [settings.index(s) for s in _of_presets(name)] for name, settings in GRIDS.items()}
@@ -371,8 +390,6 @@ def calibrate(paths: Sequence[Path]) -> dict[str, Any]:
 
     rtgi_addon.register()
     samples, rest = measure(paths)
-    if ARGUMENTS.records:
-        ARGUMENTS.records.write_text(json.dumps([[dataclasses.asdict(s) for s in found] for found in (samples, rest)]))
     with kernel_session(ARGUMENTS.threads):
         probe = probe_ms()
     return {"machine": processor(), "threads": ARGUMENTS.threads or os.cpu_count(), "blender": blender.blender_version(),
@@ -387,7 +404,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--references", type=Path, help="folder of references rendered before")
     parser.add_argument("--cache", type=Path, default=Path("out/references"), help="folder that keeps references")
     parser.add_argument("--threads", type=int, default=0, help="all if left out")
-    parser.add_argument("--records", type=Path, help="also keep every single measurement here")
+    parser.add_argument("--records", type=Path, help="keep every measurement here, and go on from those that are there")
     parser.add_argument("--page", action="store_true", help="only make the page")
     ARGUMENTS = parser.parse_args(words)
     if not ARGUMENTS.page:

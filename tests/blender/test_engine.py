@@ -260,6 +260,24 @@ def test_material_index_pass_holds_the_users_own_numbers(bpy_session, small_scen
     assert wall.pass_index == 7
 
 
+@pytest.mark.parametrize(("budget", "words"), [("TIME", "For a target time of 0.02 s"),
+                                               ("ERROR", "For a target error of 1 %")])
+def test_a_budget_chooses_settings_of_its_own_and_leaves_the_scenes(bpy_session, small_scene, budget, words):
+    from rtgi_addon.core.techniques import default_settings
+    from rtgi_addon.ui.props import settings_from_scene
+
+    group = small_scene.rtgi
+    group.budget, group.target_time_s, group.target_error_percent = budget, 0.02, 1.0
+    bpy_session.ops.render.render()
+    plan = last_result().report["plan"]
+    assert plan["budget"][0].startswith(words) and plan["facts"]["forecast_s"] > 0
+    assert any(line.startswith("Reflective Shadow Maps: lattice_px") for line in plan["budget"])
+    assert settings_from_scene(small_scene).params == default_settings().params
+    group.budget = "NONE"
+    bpy_session.ops.render.render()
+    assert last_result().report["plan"]["budget"] == []
+
+
 def test_missing_library_is_one_clear_line(bpy_session, small_scene, monkeypatch):
     from rtgi_addon import engine
 

@@ -77,6 +77,16 @@ def test_settings_survive_the_way_to_the_scene_and_back(empty_scene, preset):
     assert settings_from_scene(empty_scene) == settings
 
 
+@pytest.mark.parametrize("target", [{"target_time_s": 0.7}, {"target_error": 0.025}, {}])
+def test_a_target_survives_the_way_to_the_scene_and_back(empty_scene, target):
+    from rtgi_addon.ui.props import settings_from_scene, settings_to_scene
+
+    settings_to_scene(dataclasses.replace(default_settings(), target_time_s=3.0), empty_scene)
+    settings = dataclasses.replace(default_settings(), **target)
+    settings_to_scene(settings, empty_scene)
+    assert settings_from_scene(empty_scene) == settings
+
+
 def test_every_parameter_carries_its_range_and_description(empty_scene):
     for name, kind in TECHNIQUE_PARAMS.items():
         group = getattr(empty_scene.rtgi, name)

@@ -221,3 +221,29 @@ def test_noise_level_is_a_share_or_percent(text, level):
 def test_noise_level_that_is_none_is_refused(text):
     with pytest.raises(InputError, match="--noise"):
         cli.parse_share(text, "--noise", "noise level")
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("1.5s", 1.5), ("800ms", 0.8), ("2", 2.0), ("1e-1 s", 0.1)])
+def test_target_time_is_seconds_or_milliseconds(text, seconds):
+    assert cli.parse_time(text) == pytest.approx(seconds, rel=1e-12)
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1s", "fast", "1h", "nan", "inf", "1e999"])
+def test_target_time_that_is_none_is_refused(text):
+    with pytest.raises(InputError, match="--target-time"):
+        cli.parse_time(text)
+
+
+def test_a_target_stands_above_a_preset_and_a_preset_clears_the_scenes_target():
+    before = dataclasses.replace(default_settings(), target_time_s=3.0)
+    assert cli.settings_from_words(words(), before).target_time_s == 3.0
+    assert cli.settings_from_words(words("--target-error", "2%"), before).target_error == 0.02
+    assert cli.settings_from_words(words("--target-error", "2%"), before).target_time_s == 0
+    plain = words("--preset", "draft")
+    plain.preset = cli.parse_preset(plain.preset)
+    assert cli.settings_from_words(plain, before).target_time_s == 0
+
+
+def test_two_targets_are_refused():
+    with pytest.raises(InputError, match="not allowed with"):
+        words("--target-error", "2%", "--target-time", "1s")
