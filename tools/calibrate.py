@@ -50,6 +50,8 @@ SIZES = ((320, 180), (640, 360), (960, 540))
 ERROR_SIZE = (640, 360)
 LONG_MS = 400               # a time that is not taken twice
 LAMPS, TRIANGLES = (1, 4, 16, 32), (5120, 81920, 1310720)      # of the rooms
+LIKELY_POWER, LIKELY_WEIGHT = 0.8, 0.5      # of the pixels in a law, and how many measurements that is worth
+LEAST_ERROR = 5e-4          # errors below this are none: the reference's noise was taken off them
 REST = "rest"
 OWN_STAGES = ("composite", "write")     # of the frame itself: neither of capture nor of a technique
 PAGE = ROOT / "docs" / "calibration.md"
@@ -82,11 +84,10 @@ GRIDS: dict[str, list[dict[str, Any]]] = {
     "rsm": _clustered({"lattice_px": 8, "rays": 24, "clusters": 256}),
     "final_gather": [*_RAYS, {"lattice_px": 8, "rays": 12}],
     "ssr": _grid(samples=(1, 2, 4, 8, 16, 32, 64)),
-    **{name: _of_presets(name) for name in ("vxgi", "lpv", "hbao", "ssao", "ssdo")},
+    **{name: _of_presets(name) for name in ("vxgi", "lpv")},
 }
 # the part of the reference that a technique's light is held against
-PARTS = {"direct": "direct", "world": "direct", "emission": "direct", "hbao": "direct", "ssao": "direct",
-         "ssr": "glossy bounce"}
+PARTS = {"direct": "direct", "world": "direct", "emission": "direct", "ssr": "glossy bounce"}
 
 
 @dataclass(frozen=True)
@@ -116,8 +117,7 @@ def _plans(frame: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
         alone = dataclasses.replace(default_settings(techniques=(name,)), use_auto=True)
         if name in everything:
             yield name, everything
-        elif name not in ALWAYS_ON and name in plan_frame(frame, alone, CapturePlan()).techniques or (
-                name == "ssdo" and "rsm" in everything):
+        elif name in GRIDS and name not in ALWAYS_ON and name in plan_frame(frame, alone, CapturePlan()).techniques:
             mine = TECHNIQUES[name].transports
             yield name, tuple(t for t in TECHNIQUE_PARAMS
                               if t == name or (t in everything and mine.isdisjoint(TECHNIQUES[t].transports)))
@@ -242,6 +242,7 @@ def measure(paths: Sequence[Path]) -> tuple[list[Sample], list[Sample]]:
             add(path.stem, scene, truth, size, presets if size == SIZES[-1] else everything)
         if panel_lamps(scene):
             with with_panels(scene):
+                add(f"{path.stem} with panels", scene, None, SIZES[0], shining)
                 truth = reference_under(scene, path, "shining_panels", ERROR_SIZE, ARGUMENTS.samples, ARGUMENTS.cache)
                 add(f"{path.stem} with panels", scene, truth, ERROR_SIZE, shining)
     for what, counts in (("lights", LAMPS), ("triangles", TRIANGLES)):
@@ -265,8 +266,9 @@ def _amounts(sample: Sample) -> list[float]:
 def fit_laws(samples: Sequence[Sample]) -> dict[int, dict[str, float]]:
     """`budget.TimeLaw` fields by setting: least squares in logarithms.
 
-    Each setting has its own time and its own power of the pixels; triangles, lamps and glossy share have powers that
-    the settings share. A power that would be negative is left out: more work never takes less time.
+    Each setting has its own time and its own power of the pixels, which few sizes leave near `LIKELY_POWER`; triangles,
+    lamps and glossy share have powers that the settings share. A power that would be negative is left out: more work
+    never takes less time.
     """
     settings = sorted({s.setting for s in samples})
     kept = list(range(len(_COLUMNS)))
@@ -276,7 +278,11 @@ def fit_laws(samples: Sequence[Sample]) -> dict[int, dict[str, float]]:
             place = settings.index(s.setting)
             row[2 * place:2 * place + 2] = 1.0, math.log(s.pixels / UNIT_PIXELS)
             row[2 * len(settings):] = [_amounts(s)[i] for i in kept]
-        found = np.linalg.lstsq(rows, np.log([s.ms for s in samples]), rcond=None)[0]
+        wanted = np.log([s.ms for s in samples])
+        likely = np.zeros((len(settings), rows.shape[1]))
+        likely[np.arange(len(settings)), 1 + 2 * np.arange(len(settings))] = LIKELY_WEIGHT
+        found = np.linalg.lstsq(np.concatenate([rows, likely]), np.concatenate(
+            [wanted, np.full(len(settings), LIKELY_WEIGHT * LIKELY_POWER)]), rcond=None)[0]
         shared = found[2 * len(settings):]
         if not (shared < 0).any():
             break
@@ -326,7 +332,7 @@ def table_of(samples: Sequence[Sample], rest: Sequence[Sample]) -> dict[str, Any
             settings.append({"params": params, "time": {k: float(f"{v:.4g}") for k, v in laws[number].items()},
                              "error": float(f"{statistics.median(errors):.4g}"),
                              "high_error": float(f"{np.quantile(errors, 0.75):.4g}"),
-                             "mean_error": float(f"{statistics.fmean(errors):.4g}"),
+                             "mean_error": float(f"{statistics.geometric_mean(max(e, LEAST_ERROR) for e in errors):.4g}"),
                              "typical_ms": float(f"{math.exp(typical):.4g}")})
         if not settings:
             continue
@@ -347,8 +353,8 @@ Made by `python -m tools.calibrate`, whose first lines say how it measures; meas
 Blender {blender}, with {scenes}.
 
 A technique's table has its front, from fast to near: the settings that are worth their time, the lower convex hull of time
-and error over the scenes. Time is the geometric mean over the scenes at 640x360, error the share of the picture's light
-that is in the wrong place when everything else is right: median, upper quartile and mean over the scenes that have the
+and error over the scenes, both by geometric means. Time is that at 640x360, error the share of the picture's light that is
+in the wrong place when everything else is right: median, upper quartile and geometric mean over the scenes that have the
 light. Settings that were measured and lie off the front stand below it. The laws that a forecast uses are in
 `rtgi_addon/calibration.json`; "off by" is how far a single time lies from them typically.
 

@@ -43,13 +43,13 @@ class EmissionParams(Params):
     """Light of emissive surfaces that reaches a pixel without a bounce."""
 
     rays: int = param(
-        24, "Rays to emissive surfaces from each gather point; noise falls with the square root", low=1, high=1024,
+        8, "Rays to emissive surfaces from each gather point; noise falls with the square root", low=1, high=1024,
         soft_high=256)
     clusters: int = param(
         512, "Groups that points on emissive surfaces are put into; more follow many small ones better",
         low=16, high=16384, soft_high=4096)
     lattice_px: int = param(
-        4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
+        2, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
 
 
@@ -331,25 +331,26 @@ LABELS: dict[str, str] = {
     "ssr": "Screen-Space Reflections",
 }
 
-# a preset decides exactly these; every other parameter is the user's own
+# A preset decides exactly these; every other parameter is the user's own. What Auto runs has points of the measured front
+# (docs/calibration.md).
 PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
     "DRAFT": {
         "direct": {"soft_shadow_rays": 8},
-        "world": {"lattice_px": 8, "rays": 16},
-        "emission": {"lattice_px": 8, "rays": 16, "clusters": 256},
-        "rsm": {"lattice_px": 8, "rays": 12, "clusters": 256},
+        "world": {"lattice_px": 4, "rays": 16},
+        "emission": {"lattice_px": 8, "rays": 12, "clusters": 256},
+        "rsm": {"lattice_px": 8, "rays": 16, "clusters": 512},
         "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
         "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
         "hbao": {"slices": 2, "steps": 8, "lattice_px": 2, "overscan": 0.0},
         "ssao": {"samples": 8, "lattice_px": 2, "overscan": 0.0},
         "ssdo": {"slices": 1, "steps": 6, "lattice_px": 2, "samples": 16},
-        "final_gather": {"lattice_px": 8, "rays": 12},
+        "final_gather": {"lattice_px": 8, "rays": 16},
         "ssr": {"samples": 4},
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 4, "rays": 32},
-        "emission": {"lattice_px": 4, "rays": 24, "clusters": 512},
+        "emission": {"lattice_px": 2, "rays": 8, "clusters": 512},
         "rsm": {"lattice_px": 4, "rays": 16, "clusters": 512},
         "vxgi": {"resolution": 128, "lattice_px": 4, "cones": 32},
         "lpv": {"resolution": 32, "directions": 4, "lattice_px": 6},
@@ -360,17 +361,17 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "ssr": {"samples": 8},
     },
     "QUALITY": {
-        "direct": {"soft_shadow_rays": 128},
-        "world": {"lattice_px": 2, "rays": 64},
-        "emission": {"lattice_px": 2, "rays": 64, "clusters": 1024},
-        "rsm": {"lattice_px": 2, "rays": 64, "clusters": 1024},
+        "direct": {"soft_shadow_rays": 64},
+        "world": {"lattice_px": 2, "rays": 32},
+        "emission": {"lattice_px": 2, "rays": 16, "clusters": 512},
+        "rsm": {"lattice_px": 2, "rays": 32, "clusters": 512},
         "vxgi": {"resolution": 256, "lattice_px": 2, "cones": 64},
         "lpv": {"resolution": 48, "directions": 6, "lattice_px": 3},
         "hbao": {"slices": 4, "steps": 32, "lattice_px": 1, "overscan": 0.15},
         "ssao": {"samples": 64, "lattice_px": 1, "overscan": 0.15},
         "ssdo": {"slices": 2, "steps": 16, "lattice_px": 1, "samples": 64},
-        "final_gather": {"lattice_px": 2, "rays": 64},
-        "ssr": {"samples": 64},
+        "final_gather": {"lattice_px": 4, "rays": 48},
+        "ssr": {"samples": 32},
     },
 }
 

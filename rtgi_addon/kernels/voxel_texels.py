@@ -12,7 +12,7 @@ import numpy as np
 
 from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
 from .jit import borrowed, device_jit, pixel_jit
-from .vec3 import ONE, ZERO, Vec3, dot, f32, length, load_column, load_pixel, scaled, sub
+from .vec3 import ONE, ZERO, Vec3, cross, dot, f32, length, load_column, load_pixel, scaled, sub
 from .voxel_rays import FAR, row_of, slot_mask, slot_plane
 
 LOBE_SUMS = 12
@@ -147,11 +147,12 @@ def _side_at(walk, shape, p, n, good_score):
 
 
 @device_jit
-def add_texels(table, sides, first, diffuse, lobes):
+def add_texels(table, sides, first, edges, diffuse, lobes, brightest):
     """Add the flux of texels to the sides that their parts lie on, in place, on one thread and in their order.
 
-    first (K + 1,): where a texel's parts begin in `sides`. diffuse (6 V, 3) float32: Lambertian flux; lobes (6 V, LOBE_SUMS)
-    float32: glossy flux by colour and, weighed by its mean, normal, direction to the light, alpha squared, F0 and 1.
+    first (K + 1,): where a texel's parts begin in `sides`; edges: as `measure_texels` gives. diffuse (6 V, 3) float32:
+    Lambertian flux; lobes (6 V, LOBE_SUMS) float32: glossy flux by colour and, weighed by its mean, normal, direction to the
+    light, alpha squared, F0 and 1; brightest (6 V,) float32: W/m2 of the texel that sends the most, mean of the colours.
     Returns the flux (3,) float64 that found no side.
     """
     lost = np.zeros(3, np.float64)
@@ -159,12 +160,16 @@ def add_texels(table, sides, first, diffuse, lobes):
         share = f32(1) / f32(first[i + 1] - first[i])
         is_glossy = table[ALPHA2, i] < NO_LOBE
         g = share * (table[GLOSSY, i] + table[GLOSSY + 1, i] + table[GLOSSY + 2, i]) * f32(1 / 3)
+        d = (table[DIFFUSE, i] + table[DIFFUSE + 1, i] + table[DIFFUSE + 2, i]) * f32(1 / 3)
+        area = length(cross(Vec3(edges[i, 0], edges[i, 1], edges[i, 2]), Vec3(edges[i, 3], edges[i, 4], edges[i, 5])))
+        sent = (d + (g / share if is_glossy and len(lobes) > 0 else ZERO)) / max(area, f32(1e-30))
         for part in range(first[i], first[i + 1]):
             side = sides[part]
             if side < 0:
                 for a in range(3):
                     lost[a] += share * (table[DIFFUSE + a, i] + table[GLOSSY + a, i])
                 continue
+            brightest[side] = max(brightest[side], sent)
             for a in range(3):
                 diffuse[side, a] += share * table[DIFFUSE + a, i]
             if is_glossy:

@@ -4,8 +4,9 @@ The light pass of voxel cone tracing [1, section 5]: every texel of the light vi
 maps, adds its reflected flux to the sides of the voxel surfaces that it lies on. A side of area A that reflects the flux Phi
 sends
     L = Phi / (pi A)
-in all directions; its glossy lobe is kept beside it, one for each light view. So the flux that the views caught is the flux
-that the voxels send. The hierarchy joins eight children to one, apart for each of six directions [1, section 4].
+in all directions, but little more than the brightest of its texels; its glossy lobe is kept beside it, one for each light
+view. So the flux that the views caught is the flux that the voxels send, up to slivers of surfaces. The hierarchy joins
+eight children to one, apart for each of six directions [1, section 4].
 
 References
 ----------
@@ -29,6 +30,7 @@ from ..kernels.voxel_texels import LOBE_SUMS, add_texels, find_sides, measure_te
 from .rsm import is_reflecting, texel_table
 from .voxel_scene import VoxelScene
 
+LEEWAY = 1.5                # of the brightest texel on a side: what its light may gather to where the side is small
 GOOD_SCORE = 0.5            # alignment less distance in cells at which a texel's own cell is not doubted
 
 
@@ -37,7 +39,8 @@ class LitVoxels:
     """What the sides of the voxels send.
 
     radiance (V, 6, SIDE_COLUMNS) float32 and lobes (G, LOBE_COLUMNS) float32 as in `kernels.voxel_gather`; flux_w (3,)
-    float64: what was to be sent; lost_w (3,) float64: the part of it that lay on no voxel, or on a side without area.
+    float64: what was to be sent; lost_w (3,) float64: the part of it that lay on no voxel, or on a side without area or with
+    less than it takes to send it.
     """
 
     radiance: np.ndarray
@@ -64,6 +67,7 @@ def light_voxels(frame: Frame, scene: VoxelScene, use_glossy: bool = True) -> Li
     number, area_m2 = 6 * len(scene), side_areas(scene)
     is_hidden = area_m2 <= 0                     # slivers that no ray meets: their light goes nowhere
     diffuse, of_side, lobes = np.zeros((number, 3), np.float32), [], []
+    sent_w, most_w_m2 = np.zeros(number, np.float32), np.zeros(number, np.float32)
     flux_w, lost_w = np.zeros(3), np.zeros(3)
     shape, origin, rcp_cell = np.array(scene.grid.shape), np.array(scene.grid.origin_ws), 1.0 / scene.grid.cell_m
     for index, view in enumerate(frame.views):
@@ -73,18 +77,28 @@ def light_voxels(frame: Frame, scene: VoxelScene, use_glossy: bool = True) -> Li
         first = np.concatenate([[0], np.cumsum(parts.prod(1))])
         sides = find_sides(scene.walk, shape, table, edges, parts, first, origin, rcp_cell, f32(GOOD_SCORE))
         sums = np.zeros((number if use_glossy else 0, LOBE_SUMS), np.float32)
-        lost_w += add_texels(table, sides, first, diffuse, sums)
+        brightest = np.zeros(number, np.float32)
+        lost_w += add_texels(table, sides, first, edges, diffuse, sums, brightest)
+        most_w_m2 += brightest
         lost_w += sums[is_hidden[:len(sums)], :3].sum(0, dtype=np.float64)
         sums[is_hidden[:len(sums)]] = 0
         glossy = np.flatnonzero(sums[:, -1])
+        sent_w[glossy] += sums[glossy, -1]
         of_side.append(glossy)
         lobes.append(_mean_lobes(sums[glossy], area_m2[glossy]))
         flux_w += table[DIFFUSE:DIFFUSE + 3].sum(1, dtype=np.float64) + table[GLOSSY:GLOSSY + 3].sum(1, dtype=np.float64)
     radiance = np.zeros((len(scene), 6, SIDE_COLUMNS), np.float32)
     flat = radiance.reshape(-1, SIDE_COLUMNS)
     lost_w += diffuse[is_hidden].sum(0, dtype=np.float64)
+    sent_w += diffuse.mean(1)
+    # a surface of which a voxel holds a sliver sends no more from there than from beside it
+    kept = np.minimum(LEEWAY * most_w_m2 * area_m2 / np.maximum(sent_w, 1e-30), 1).astype(np.float32)
+    for sides, of_them in zip(of_side, lobes, strict=True):
+        lost_w += ((1 - kept[sides]) * area_m2[sides]) @ of_them[:, :3].astype(np.float64)
+        of_them[:, :3] *= kept[sides, None]
     lit = np.flatnonzero(diffuse.any(1) & ~is_hidden)
-    flat[lit, :3] = diffuse[lit] / (np.float32(np.pi) * area_m2[lit, None])
+    lost_w += (1 - kept[lit]) @ diffuse[lit].astype(np.float64)
+    flat[lit, :3] = kept[lit, None] * diffuse[lit] / (np.float32(np.pi) * area_m2[lit, None])
     return LitVoxels(radiance, _list_lobes(flat, of_side, lobes), flux_w, lost_w)
 
 

@@ -156,8 +156,14 @@ def test_a_law_is_found_again_from_its_own_times():
     found = calibrate.fit_laws(samples)
     for number, law in enumerate(laws):
         for field in dataclasses.fields(TimeLaw):
-            assert found[number][field.name] == pytest.approx(getattr(law, field.name), rel=1e-6)
-    assert calibrate.spread_of(samples, found) == pytest.approx(1.0)
+            # what a power is likely to be counts as half a measurement among 24
+            assert found[number][field.name] == pytest.approx(getattr(law, field.name), rel=0.02)
+    assert calibrate.spread_of(samples, found) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_single_size_gives_a_likely_power_of_the_pixels():
+    law = calibrate.fit_laws([sample(0, 1e5 + k, 1e3, 1, 1, ms) for k, ms in enumerate((10.0, 30.0, 10.0))])[0]
+    assert law["pixels"] == pytest.approx(calibrate.LIKELY_POWER, abs=0.01)
 
 
 def test_more_work_never_takes_less_time_by_a_law():
