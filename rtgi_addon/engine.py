@@ -208,7 +208,8 @@ class RTGIEngine(bpy.types.RenderEngine):
         settings.validate()
         frame, capture_plan = self._capture(depsgraph, settings, context, stages)
         plan = planner.plan_frame(frame, settings, capture_plan)
-        speed = budget.speed_of(settings.threads) if settings.target_time_s else 1.0
+        has_target = bool(settings.target_time_s or settings.target_error)
+        speed = budget.speed_of(settings.threads) if has_target else 1.0
         choice = budget.within_budget(plan, settings, stages.total_ms, speed)
         result = pipeline.run(frame, choice.plan, choice.settings, context, stages, scene.render.film_transparent)
         context.checkpoint("Write result", 1.0)
