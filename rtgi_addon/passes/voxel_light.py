@@ -4,7 +4,7 @@ The light pass of voxel cone tracing [1, section 5]: every texel of the light vi
 maps, adds its reflected flux to the sides of the voxel surfaces that it lies on. A side of area A that reflects the flux Phi
 sends
     L = Phi / (pi A)
-in all directions, but little more than the brightest of its texels; its glossy lobe is kept beside it, one for each light
+in all directions, up to a multiple of the brightest of its texels; its glossy lobe is kept beside it, one for each light
 view. So the flux that the views caught is the flux that the voxels send, up to slivers of surfaces. The hierarchy joins
 eight children to one, apart for each of six directions [1, section 4].
 
@@ -30,7 +30,7 @@ from ..kernels.voxel_texels import LOBE_SUMS, add_texels, find_sides, measure_te
 from .rsm import is_reflecting, texel_table
 from .voxel_scene import VoxelScene
 
-LEEWAY = 1.5                # of the brightest texel on a side: what its light may gather to where the side is small
+LEEWAY = 8                  # a side may send this many times what its brightest texel does; slivers gathered hundreds
 GOOD_SCORE = 0.5            # alignment less distance in cells at which a texel's own cell is not doubted
 
 

@@ -192,8 +192,12 @@ def test_light_pass_keeps_the_flux(use_glossy):
     light = light_voxels(frame, scene, use_glossy)
     sent = math.pi * (light.radiance[..., :3].reshape(-1, 3) * side_areas(scene)[:, None]).sum(0, dtype=np.float64)
     caught = texel_table(frame, use_glossy)[DIFFUSE:DIFFUSE + 3].sum(1, dtype=np.float64)
-    assert np.allclose(sent, caught, rtol=1e-4)               # float32 sums
-    assert not light.lost_w.any() and (len(light.lobes) > 0) == use_glossy
+    # what slivers of surfaces would have to send too brightly is left out, and counted
+    assert (light.lost_w < 2e-3 * light.flux_w).all() and (len(light.lobes) > 0) == use_glossy
+    if use_glossy:
+        assert np.allclose(sent, caught, rtol=2e-3)
+    else:
+        assert np.allclose(sent + light.lost_w, caught, rtol=1e-4)      # float32 sums
 
 
 def test_solid_cells_are_those_inside_bodies():
