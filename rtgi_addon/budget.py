@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,7 @@ class TimeLaw:
 class Step:
     """A setting on a technique's front: its parameters, its time, and its errors as shares of the picture's light.
 
-    `error` is the median over the calibration's scenes that have the light, `high_error` the upper quartile.
+    `error` is the geometric mean over the calibration's scenes that have the light, `high_error` the upper quartile.
     """
 
     params: dict[str, Any]
@@ -91,7 +92,7 @@ class Choice:
 
 def table_from_json(words: dict[str, Any]) -> Table:
     """The table in the form of calibration.json."""
-    steps = {name: tuple(Step(s["params"], TimeLaw(**s["time"]), s["error"], s["high_error"]) for s in entry["steps"])
+    steps = {name: tuple(Step(s["params"], TimeLaw(**s["time"]), s["mean_error"], s["high_error"]) for s in entry["steps"])
              for name, entry in words["techniques"].items()}
     return Table(steps, TimeLaw(**words["rest"]), words["probe_ms"])
 
@@ -157,7 +158,8 @@ def _error(at: dict[str, int], ladders: dict[str, tuple[Step, ...]]) -> float:
     return sum(ladders[name][number].error for name, number in at.items())
 
 
-def _climb(at: dict[str, int], ladders: dict[str, tuple[Step, ...]], times: dict[str, list[float]], may_go: Any) -> None:
+def _climb(at: dict[str, int], ladders: dict[str, tuple[Step, ...]], times: dict[str, list[float]],
+           may_go: Callable[[float], bool]) -> None:
     """Take the best steps in turn into `at`, each as long as `may_go(more ms)`."""
     open_to = set(ladders)
     while open_to:
@@ -178,7 +180,7 @@ def _climb(at: dict[str, int], ladders: dict[str, tuple[Step, ...]], times: dict
 
 
 def _words(settings: Settings, spent_ms: float, forecast_ms: float, error: float, high: float, at: dict[str, int],
-           ladders: dict[str, tuple[Step, ...]]) -> Any:
+           ladders: dict[str, tuple[Step, ...]]) -> Iterator[str]:
     """The choice in words."""
     expected = f"{forecast_ms / 1e3:.2f} s and an error of {100 * error:.1f} % are expected (up to {100 * high:.1f} %)"
     if settings.target_time_s:

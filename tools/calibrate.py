@@ -330,7 +330,7 @@ def table_of(samples: Sequence[Sample], rest: Sequence[Sample]) -> dict[str, Any
                 continue
             typical = statistics.fmean(math.log(s.ms) for s in own if s.setting == number and s.error is not None)
             settings.append({"params": params, "time": {k: float(f"{v:.4g}") for k, v in laws[number].items()},
-                             "error": float(f"{statistics.median(errors):.4g}"),
+                             "median_error": float(f"{statistics.median(errors):.4g}"),
                              "high_error": float(f"{np.quantile(errors, 0.75):.4g}"),
                              "mean_error": float(f"{statistics.geometric_mean(max(e, LEAST_ERROR) for e in errors):.4g}"),
                              "typical_ms": float(f"{math.exp(typical):.4g}")})
@@ -370,7 +370,7 @@ def page_of(words: dict[str, Any]) -> str:
         for kind in ("steps", "off"):
             for setting in entry[kind]:
                 presets = [p.lower() for p in PRESET_NAMES if PRESET_PARAMS[p][name].items() <= _all(name, setting).items()]
-                errors = (percent(setting[k]) for k in ("error", "high_error", "mean_error"))
+                errors = (percent(setting[k]) for k in ("median_error", "high_error", "mean_error"))
                 cells = [", ".join(f"`{field}` {value}" for field, value in setting["params"].items()),
                          f"{setting['typical_ms']:.0f} ms", *errors,
                          "yes" if kind == "steps" else "", ", ".join(presets)]
