@@ -58,9 +58,10 @@ class KeptViews:
         for update in depsgraph.updates:
             changed = update.id.original
             if isinstance(changed, bpy.types.Object):
-                if changed.type not in _UNSEEN_OBJECTS:
+                makes_instances = changed.instance_type != "NONE"
+                if makes_instances or changed.type not in _UNSEEN_OBJECTS:
                     self._changed.add(changed.as_pointer())
-                    self._is_unknown |= changed.type not in SURFACE_TYPES
+                    self._is_unknown |= not makes_instances and changed.type not in SURFACE_TYPES
             elif isinstance(changed, _SHAPES):
                 self._changed.add(changed.as_pointer())
             elif not isinstance(changed, _WITHOUT_TRACE) and changed.as_pointer() not in trees:

@@ -88,6 +88,20 @@ def test_what_moves_beside_a_lamps_view_leaves_it(bpy_session, small_scene, tmp_
     assert_same_without_keeping(bpy_session, small_scene, tmp_path, monkeypatch, found)
 
 
+def test_what_a_moving_empty_instances_is_seen_anew(bpy_session, small_scene, tmp_path, monkeypatch, looks):
+    bpy, cube = bpy_session, bpy_session.data.objects["Cube"]
+    kept_out = bpy.data.collections.new("Cubes")
+    kept_out.objects.link(cube)
+    small_scene.collection.objects.unlink(cube)
+    empty = bpy.data.objects.new("Cubes", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", kept_out
+    small_scene.collection.objects.link(empty)
+    animate(bpy, small_scene, empty, "location", (0, 0, 0), (0.2, 0, 0), (0.2, 0, 0))
+    found = rendered(bpy, small_scene, tmp_path, monkeypatch)
+    assert looks[1] == looks[2] == 1
+    assert_same_without_keeping(bpy, small_scene, tmp_path, monkeypatch, found)
+
+
 @pytest.mark.parametrize("what", ["material", "lamp's cone", "lamp's place", "hidden", "deformed"])
 def test_every_other_change_is_seen(bpy_session, small_scene, tmp_path, monkeypatch, looks, what):
     cube, lamp = bpy_session.data.objects["Cube"], small_scene.objects["Spot"]
