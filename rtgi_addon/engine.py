@@ -236,9 +236,10 @@ class RTGIEngine(bpy.types.RenderEngine):
         context.checkpoint("Read triangles", 0.0)
         with stages("triangles"):
             geometry = capture_geometry.read_geometry(depsgraph, self._materials, self._origin_ws, _geometry_cache)
-            self._kept.settle(geometry, _geometry_cache.ranges, self._origin_ws, self._materials.evaluated)
-            if not _keeps_views:
-                self._kept.forget()
+            if _keeps_views:
+                self._kept.settle(geometry, _geometry_cache.ranges, self._origin_ws, self._materials.evaluated)
+            else:
+                self._kept = KeptViews()
         views = ViewCapture(self, self._data, depsgraph, self._origin_ws, self._materials)
         context.checkpoint("Camera view", 0.05)
         with stages("camera view"):
@@ -273,7 +274,8 @@ class RTGIEngine(bpy.types.RenderEngine):
                 elif seen is None:
                     with views.looking_through(light_camera, near_m, far_m):
                         seen = views.to_gbuffer(views.passes(light_camera), light_camera)
-                self._kept.put(light, light_camera, near_m, seen)
+                if _keeps_views:
+                    self._kept.put(light, light_camera, near_m, seen)
                 captured.append(light_views.view_of(i, light, light_camera, seen))
         with stages("world"):
             world = self._capture_world(views, width, height)

@@ -92,10 +92,6 @@ class KeptViews:
         """Keep what was seen."""
         self._views[light.name] = _View(camera, near_m, gbuffer)
 
-    def forget(self) -> None:
-        """Take everything as changed."""
-        self._is_unknown = True
-
     def _hulls_of_changes(self, corners_ws: np.ndarray, ranges: Ranges, origin_ws: np.ndarray) -> np.ndarray | None:
         """(n, 8, 3) corners of boxes around what changed, before and now; None where all may have."""
         if self._corners_ws is None or not np.array_equal(self._origin_ws, origin_ws):
