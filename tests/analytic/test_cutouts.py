@@ -120,7 +120,7 @@ def test_a_view_by_rays_meets_a_pane_as_often_as_it_is_opaque_and_sees_its_true_
     frame = frame_of(geometry, cast_view(camera, geometry), camera, light)
     frame = dataclasses.replace(frame, materials=(Material("grey"),))
     eye = view_from((0, 0, 2), (0, 0, 0), 0.9, 64, 64)
-    seen = cast_light_view(0, light, eye, frame, build_bvh(geometry.corners_ws, geometry.cutouts)).gbuffer
+    seen = cast_light_view(light, eye, frame, build_bvh(geometry.corners_ws, geometry.cutouts))
     on_pane = seen.position_ws[..., 2] > 0.5
     # four standard deviations of 4096 draws
     assert on_pane.mean() == pytest.approx(LEVEL / 255, abs=4 * np.sqrt(0.3 * 0.7 / 4096))
