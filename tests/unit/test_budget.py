@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import math
 
 import pytest
@@ -129,12 +130,14 @@ def test_frames_that_take_longer_than_forecast_correct_the_next_forecast(monkeyp
 # ---- the table that comes with RTGI ----
 
 def test_every_step_of_the_own_table_is_a_valid_setting_slower_and_nearer_than_the_one_before():
-    table = budget.own_table()
+    table, entries = budget.own_table(), json.loads(budget.TABLE.read_text(encoding="utf-8"))["techniques"]
     assert {"direct", "world", "emission", "rsm", "final_gather", "ssr"} <= set(table.steps) <= set(TECHNIQUE_PARAMS)
     for name, ladder in table.steps.items():
         for step in ladder:
             dataclasses.replace(TECHNIQUE_PARAMS[name](), **step.params).validate(name)
             assert step.time.ms > 0 and 0 <= step.error <= step.high_error
+        for before, after in itertools.pairwise(entries[name]["steps"]):
+            assert after["typical_ms"] > before["typical_ms"] and after["mean_error"] < before["mean_error"]
 
 
 @pytest.mark.parametrize("preset", PRESET_PARAMS)
