@@ -35,7 +35,7 @@ from .clusters import (
     TO_LIGHT,
 )
 from .jit import borrowed, inline_jit, pixel_jit
-from .sampling import near_weight, uniform
+from .sampling import dither, near_weight, uniform
 from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_column, scaled, sub
 
 HALF, THIRD = f32(0.5), f32(1 / 3)
@@ -160,7 +160,7 @@ def _pick_far(p, n, R, running, eps2, first, last, u, v):
 
 
 @inline_jit
-def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack):
+def _gather_at(p, n, place, clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack):
     """(r, g, b, unshadowed mean, variance of the mean) at one point.
 
     w, at (C,), gives_near (NEAR_TEXELS,) and stack are scratch: weights of clusters, where in `gives_near` the texels of a
@@ -184,19 +184,19 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
         return red, green, blue, ZERO, ZERO
     origin, c, reached = lifted(p, n, offset_m), -1, ZERO
     for j in range(rays):
-        target = (f32(j) + uniform(point, seed, 2 * j)) / f32(rays) * total
+        target = (f32(j) + dither(place, seed, 3 * j)) / f32(rays) * total
         while c < n_clusters - 1 and (reached <= target or c < 0):
             c += 1
             reached += w[c]
         if w[c] <= ZERO:
             continue
-        u = uniform(point, seed, 2 * j + 1)
+        u = uniform(place, seed, 2 * j)
         if at[c] >= 0:
             k, gives = _pick_near(gives_near, at[c], end[c] - start[c], u * w[c])
             share = gives / w[c]
             k += start[c] if k >= 0 else 0
         else:
-            k, share = _pick_far(p, n, R, running, eps2, start[c], end[c], u, uniform(point, seed ^ 0x5BD1, j))
+            k, share = _pick_far(p, n, R, running, eps2, start[c], end[c], u, uniform(place, seed, 2 * j + 1))
         if k < 0 or share <= ZERO:
             continue
         diffuse, glossy = _record_factors(p, n, R, k, eps2)
@@ -222,7 +222,7 @@ def _gather_at(p, n, point, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
 
 
 @pixel_jit
-def _gather_visible(begin, end, position, normal, ids, clusters, eps2, bvh, rays, offset_m, seed, out):
+def _gather_visible(begin, end, position, normal, places, clusters, eps2, bvh, rays, offset_m, seed, out):
     clusters, bvh = borrowed((clusters, bvh))
     n_clusters = clusters.table.shape[1]
     w, at, stack = np.empty(n_clusters, np.float32), np.empty(n_clusters, np.int32), np.empty(STACK, np.int32)
@@ -230,16 +230,16 @@ def _gather_visible(begin, end, position, normal, ids, clusters, eps2, bvh, rays
     for m in range(begin, end):
         p, n = load(position, m), load(normal, m)
         out[m, 0], out[m, 1], out[m, 2], out[m, 3], out[m, 4] = _gather_at(
-            p, n, ids[m], clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack)
+            p, n, places[m], clusters, eps2, bvh, rays, offset_m, seed, w, at, gives_near, stack)
 
 
-def gather_visible(position, normal, ids, clusters, eps2, bvh, rays, offset_m, seed):
+def gather_visible(position, normal, places, clusters, eps2, bvh, rays, offset_m, seed):
     """Irradiance at points (M, 3) with unit normals (M, 3) by `rays` shadow rays each, as (M, 5) float32.
 
     Columns: irradiance by colour; what the clusters would give unshadowed (mean over colours); variance of the mean. W/m2.
-    `ids` (M,) int64 seeds each point's random numbers; `eps2` m2 keeps 1 / r^2 finite on the texel itself; `offset_m`
+    `places` (M,) int64, see `sampling.place_ids`, seed each point's random numbers; `eps2` m2 keeps 1 / r^2 finite on the texel itself; `offset_m`
     lifts both ends of a ray off their surfaces.
     """
     out = np.zeros((len(position), 5), np.float32)
-    _gather_visible(len(position), position, normal, ids, clusters, eps2, bvh, rays, offset_m, seed, out)
+    _gather_visible(len(position), position, normal, places, clusters, eps2, bvh, rays, offset_m, seed, out)
     return out

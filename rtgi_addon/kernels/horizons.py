@@ -14,8 +14,8 @@ import numpy as np
 
 from .fastmath import PI, fast_sin, fraction
 from .jit import borrowed, device_jit, pixel_jit
-from .sampling import TWO_PI
-from .screen import TINY, dither, point_vs, seen_normal_vs, to_viewer_vs, turn_to_view, turn_to_world
+from .sampling import TWO_PI, dither, place_id
+from .screen import TINY, point_vs, seen_normal_vs, to_viewer_vs, turn_to_view, turn_to_world
 from .shadow import ORTHOGRAPHIC
 from .slices import (
     BEYOND_PX,
@@ -80,8 +80,9 @@ def _begin(s, w, group, width, step, margin, seed):
         _put(w, _VIEWER, x, to_viewer_vs(s, p))
         _put(w, _NORMAL, x, seen_normal_vs(s, i, j))
         w[_COLUMN + x], w[_ROW + x], w[_DISTANCE + x] = f32(j) + HALF, f32(i) + HALF, length(p)
-        w[_TURN + x], w[_JITTER + x] = dither(row, column, seed, 0), dither(row, column, seed, 1)
-        w[_SHIFT + x] = dither(row, column, seed, 2)
+        place = place_id(row, column)
+        w[_TURN + x], w[_JITTER + x] = dither(place, seed, 0), dither(place, seed, 1)
+        w[_SHIFT + x] = dither(place, seed, 2)
         w[_LIGHT + x], w[_OPEN + x] = ZERO, ZERO
         _put(w, _BENT, x, NOWHERE)
         _put(w, _ALL, x, NOWHERE)

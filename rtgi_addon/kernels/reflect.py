@@ -20,7 +20,7 @@ from .brdf import fit_lobe, fresnel, sample_lobe
 from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y
 from .jit import borrowed, device_jit, pixel_jit
 from .lit_hits import edge_fade, gloss_of_lamps, lit_there
-from .sampling import cosine_hemisphere, r2_sequence, uniform
+from .sampling import cosine_hemisphere, dither, r2_sequence, uniform
 from .screen import HALF, seen_vs, turn_to_view, turn_to_world, view_vector
 from .screen_rays import ENDED, HIT, distance_at, march, march_evenly, ray_in_picture
 from .shadow import ORTHOGRAPHIC
@@ -175,11 +175,11 @@ def draw_rays(begin, end, index, samples, s, planes, gloss, rules, seed, rays):
 
 
 @device_jit
-def _aim_from(m, position, normal, point, samples, offset_m, seed, rays):
-    """Aim the rays of point m, of number `point`."""
+def _aim_from(m, position, normal, place, samples, offset_m, seed, rays):
+    """Aim the rays of point m, at `place` of its grid."""
     p, n = load(position, m), load(normal, m)
     tangent, bitangent = tangent_frame(n)
-    origin, shift_u, shift_v = lifted(p, n, offset_m), uniform(point, seed, 0), uniform(point, seed, 1)
+    origin, shift_u, shift_v = lifted(p, n, offset_m), dither(place, seed, 0), dither(place, seed, 1)
     for k in range(samples):
         r = m * samples + k
         u, v = r2_sequence(k, shift_u, shift_v)
@@ -191,10 +191,12 @@ def _aim_from(m, position, normal, point, samples, offset_m, seed, rays):
 
 
 @pixel_jit
-def aim_rays(begin, end, position, normal, ids, samples, offset_m, seed, rays):
-    """Aim `samples` rays by the cosine from each of the points (M, 3) with normals (M, 3), left to the triangles."""
+def aim_rays(begin, end, position, normal, places, samples, offset_m, seed, rays):
+    """Aim `samples` rays by the cosine from each of the points (M, 3) with normals (M, 3), left to the triangles.
+
+    `places` (M,): see `sampling.place_ids`."""
     for m in range(begin, end):
-        _aim_from(m, position, normal, ids[m], samples, offset_m, seed, rays)
+        _aim_from(m, position, normal, places[m], samples, offset_m, seed, rays)
 
 
 @pixel_jit

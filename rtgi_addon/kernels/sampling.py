@@ -12,6 +12,8 @@ import numpy as np
 from .jit import device_jit
 from .vec3 import ONE, ZERO, Vec3, f32
 
+PLACE_BITS = 20
+PLACE_MASK = (1 << PLACE_BITS) - 1
 TWO_PI = f32(2 * math.pi)
 _LOW = np.uint64(0xFFFFFFFF)
 
@@ -24,6 +26,38 @@ def uniform(a, b, c):
     h = ((h ^ (h >> np.uint64(15))) * np.uint64(0x2C1B3C6D)) & _LOW
     h = ((h ^ (h >> np.uint64(12))) * np.uint64(0x297A2D39)) & _LOW
     return f32((h ^ (h >> np.uint64(15))) >> np.uint64(8)) * f32(1 / 16777216)
+
+
+def place_ids(shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) int64 `place_id` of the places of a grid."""
+    return (np.arange(shape[0], dtype=np.int64)[:, None] << PLACE_BITS) + np.arange(shape[1])
+
+
+@device_jit
+def place_id(row, column):
+    """A grid's place as one number, which `dither` takes."""
+    return (np.int64(row) << PLACE_BITS) + np.int64(column)
+
+
+@device_jit
+def dither(place, seed, k):
+    """Number in [0, 1) of a grid's place whose gaps its neighbours' numbers fill; a hash of `seed` and k shifts it.
+
+    Numbers of a block of n places lie about 1 / n apart, so what they are spent on has little noise once a filter has
+    averaged over the block. k mod 3 chooses one of three patterns: 0 and 2 are the plane's R2 sequence (Roberts 2018) laid
+    over the grid, and pairs of 0 and 1 fill the square: those constants keep the pairs of any block of 4 to 8 a side
+    farthest apart.
+    """
+    i, j = np.float64(place >> PLACE_BITS), np.float64(place & PLACE_MASK)
+    pattern = k % 3
+    if pattern == 0:
+        value = i * 0.5698402909980532 + j * 0.7548776662466927
+    elif pattern == 1:
+        value = i * 0.361991 + j * 0.442725
+    else:
+        value = i * 0.7548776662466927 + j * 0.5698402909980532
+    value += np.float64(uniform(seed, k, 0x5EED))
+    return min(f32(value - math.floor(value)), f32(0.99999994))
 
 
 @device_jit

@@ -148,14 +148,3 @@ def height_above_plane(p, n, q):
 def pixel_hash(s, i, j, seed, k):
     """Number in [0, 1) of pixel (i, j), a seed and an index k; white noise."""
     return uniform(i * s.depth.shape[1] + j, seed, k)
-
-
-@device_jit
-def dither(i, j, seed, k):
-    """Number in [0, 1) of pixel (i, j) that its neighbours' numbers fill the gaps of, shifted by a hash of seed and k.
-
-    The plane's R2 sequence (Roberts 2018) laid over the picture: any block of n pixels holds numbers about 1 / n apart, so
-    what they are spent on has little noise once a filter has averaged over the block.
-    """
-    value = np.float64(i) * 0.5698402909980532 + np.float64(j) * 0.7548776662466927 + np.float64(uniform(seed, k, 0x5EED))
-    return min(f32(value - math.floor(value)), f32(0.99999994))

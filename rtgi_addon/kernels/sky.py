@@ -10,7 +10,7 @@ from .brdf import INV_PI
 from .bvh import STACK, visibility
 from .jit import borrowed, device_jit, pixel_jit
 from .octahedron import table_at
-from .sampling import TWO_PI, cosine_hemisphere, r2_sequence, uniform
+from .sampling import TWO_PI, cosine_hemisphere, dither, r2_sequence
 from .vec3 import ONE, ZERO, Vec3, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
 
 PI = f32(math.pi)
@@ -50,7 +50,7 @@ def find_first(cdf, u):
 
 
 @pixel_jit
-def _gather_sky(begin, end, position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed,
+def _gather_sky(begin, end, position, normal, places, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed,
                 out):
     bvh, = borrowed((bvh,))
     height, width = radiance.shape[0], radiance.shape[1]
@@ -60,12 +60,13 @@ def _gather_sky(begin, end, position, normal, ids, radiance, cdf, density, bvh, 
         p, n = load(position, m), load(normal, m)
         tangent, bitangent = tangent_frame(n)
         origin = lifted(p, n, offset_m)
-        shift_u, shift_v = uniform(ids[m], seed, 0), uniform(ids[m], seed, 1)
+        place = places[m]
+        shift_u, shift_v, shift_w = dither(place, seed, 0), dither(place, seed, 1), dither(place, seed, 2)
         red, green, blue, given, squares = ZERO, ZERO, ZERO, ZERO, ZERO
         for j in range(rays):
             u, v = r2_sequence(j, shift_u, shift_v)
             if j < by_map:
-                k = find_first(cdf, uniform(ids[m], seed, 2 + j))
+                k = find_first(cdf, (f32(j) + shift_w) / f32(by_map))
                 d = _sky_direction(k // width, k % width, u, v, height, width)
             else:
                 d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
@@ -87,7 +88,7 @@ def _gather_sky(begin, end, position, normal, ids, radiance, cdf, density, bvh, 
         out[m, 4] = max(squares - f32(1 / 9) * (red + green + blue) ** 2 / f32(rays), ZERO)
 
 
-def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed):
+def gather_sky(position, normal, places, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed):
     """Irradiance from the sky with visibility at points (M, 3), as (M, 5) float32.
 
     Columns: irradiance by colour; what an open point would get from the same rays (mean over colours); variance of the mean.
@@ -98,7 +99,7 @@ def gather_sky(position, normal, ids, radiance, cdf, density, bvh, rays, map_sha
     cosine; both are weighed by the balance heuristic (Veach 1997, Eq. 9.8).
     """
     out = np.zeros((len(position), 5), np.float32)
-    _gather_sky(len(position), position, normal, ids, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed,
+    _gather_sky(len(position), position, normal, places, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed,
                 out)
     return out
 

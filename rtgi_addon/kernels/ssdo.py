@@ -14,8 +14,8 @@ import numpy as np
 from .fastmath import HALF_PI, PI, fast_atan2, fast_sin, fraction
 from .jit import borrowed, device_jit, pixel_jit
 from .octahedron import table_at
-from .sampling import near_weight, r2_sequence, uniform
-from .screen import TINY, dither, is_inside, point_vs, to_screen, to_viewer_vs, turn_to_view, turn_to_world
+from .sampling import dither, near_weight, place_id, r2_sequence, uniform
+from .screen import TINY, is_inside, point_vs, to_screen, to_viewer_vs, turn_to_view, turn_to_world
 from .shadow import ORTHOGRAPHIC
 from .slices import (
     SECTORS,
@@ -125,7 +125,8 @@ def _begin(s, table, w, c, ids, first, seed):
         _put(w, _VIEWER, x, to_viewer_vs(s, p))
         _put(w, _NORMAL, x, turn_to_view(s, Vec3(table[m, 0], table[m, 1], table[m, 2])))
         w[_COLUMN + x], w[_ROW + x], w[_DISTANCE + x] = f32(j) + HALF, f32(i) + HALF, length(p)
-        w[_TURN + x], w[_JITTER + x], w[_SHIFT + x] = dither(i, j, seed, 0), dither(j, i, seed, 1), uniform(m, seed, 2)
+        place = place_id(i, j)
+        w[_TURN + x], w[_JITTER + x], w[_SHIFT + x] = dither(place, seed, 0), dither(place, seed, 1), uniform(m, seed, 2)
         for channel in range(9):
             w[_RED + channel * LANES + x] = ZERO
 

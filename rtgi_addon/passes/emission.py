@@ -90,8 +90,8 @@ def compute_emission(frame: Frame, params: EmissionParams, context: Context, see
     clusters = cluster_texels(table, params.clusters, frame.scale_m)
     offset_m, eps2 = f32(frame.ray_offset_m), f32(MIN_DISTANCE2 * frame.scale_m**2)
 
-    def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
-        return gather_visible(position, normal, ids, clusters, eps2, bvh, params.rays, offset_m, salt)
+    def gather(position: np.ndarray, normal: np.ndarray, _: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:
+        return gather_visible(position, normal, places, clusters, eps2, bvh, params.rays, offset_m, salt)
 
     irradiance, diagnostics = gather_on_lattice(frame, gather, params.lattice_px, 2 * seed + 5, context, "Emissive surfaces")
     return PassResult({Transport.EMISSION_DIFFUSE: irradiance}, diagnostics=diagnostics)

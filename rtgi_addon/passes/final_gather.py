@@ -70,9 +70,9 @@ def compute_final_gather(frame: Frame, params: FinalGatherParams, context: Conte
     rules = Rules(0, 1.0, True, True, f32(0), f32(frame.ray_offset_m), f32(reach_m))
     lights = pack_lights((), reach_m)
 
-    def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
+    def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:
         rays = make_rays(len(ids) * params.rays)
-        aim_rays(len(ids), position, normal, ids, params.rays, rules.offset_m, salt, rays)
+        aim_rays(len(ids), position, normal, places, params.rays, rules.offset_m, salt, rays)
         asked = np.arange(len(rays.answer))
         ask_scene(len(asked), asked, ids, params.rays, screen, planes, gloss, lights, bvh, around, rules, salt, rays)
         light = rays.light[:, :3].reshape(len(ids), params.rays, 3) * np.float32(math.pi)

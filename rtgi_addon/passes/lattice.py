@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ..core.frame import Frame
 from ..core.transforms import Camera, Projection
 from ..kernels.filters import pilot_means, regress_lattice, smooth_marked, spread_lattice
+from ..kernels.sampling import place_ids
 from ..kernels.vec3 import f32
 from .base import Context
 
-# A gather function takes points (M, 3), normals (M, 3), ids (M,) and a seed, and returns (M, 5) as the kernels do: light by
-# colour, unshadowed mean, variance of the mean; or (M, 3) light alone, which is then smoothed by plane and normal only.
-Gather = Callable[[np.ndarray, np.ndarray, np.ndarray, int], np.ndarray]
+# A gather function takes points (M, 3), normals (M, 3), their pixels and places in the lattice (M,) (`place_ids`) and a seed,
+# and returns (M, 5) as the kernels do: light by colour, unshadowed mean, variance of the mean; or (M, 3) light alone, which
+# is then smoothed by plane and normal only.
+Gather = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int], np.ndarray]
 
 PLANE_TOLERANCE_PX = 1.6    # how far off the tangent plane, in footprints of a lattice cell, a neighbour still counts e^-1
 UNREST = 1.0                # standard deviation over mean of the lattice's light at which a pixel is gathered on its own;
@@ -34,14 +36,15 @@ def pixel_footprint_m(camera: Camera, depth: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(depth), depth * np.float32(step), np.float32(0))
 
 
-def gather_in_tiles(gather: Gather, position: np.ndarray, normal: np.ndarray, ids: np.ndarray, seed: int,
-                    context: Context, text: str, columns: int = 3) -> np.ndarray:
-    """The first `columns` columns of `gather` over (M, 3) points, in tiles, so that Esc is seen between them."""
-    out = np.zeros((len(position), columns), np.float32)
-    for first in range(0, len(position), TILE_POINTS):
-        context.checkpoint(text, first / len(position))
+def gather_in_tiles(gather: Callable[..., np.ndarray], points: Sequence[np.ndarray], seed: int, context: Context, text: str,
+                    columns: int = 3) -> np.ndarray:
+    """The first `columns` columns of `gather` over arrays of M `points`, in tiles, so that Esc is seen between them."""
+    number = len(points[0])
+    out = np.zeros((number, columns), np.float32)
+    for first in range(0, number, TILE_POINTS):
+        context.checkpoint(text, first / number)
         tile = slice(first, first + TILE_POINTS)
-        out[tile] = gather(position[tile], normal[tile], ids[tile], seed)[:, :columns]
+        out[tile] = gather(*(array[tile] for array in points), seed)[:, :columns]
     return out
 
 
@@ -55,10 +58,11 @@ def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, con
     """
     g = frame.gbuffer
     mask = g.mask
-    ids = np.arange(mask.size, dtype=np.int64).reshape(mask.shape)
+    pixels, places = np.arange(mask.size, dtype=np.int64).reshape(mask.shape), place_ids(mask.shape)
     if step_px == 1:
         out = np.zeros((*mask.shape, 3), np.float32)
-        out[mask] = gather_in_tiles(gather, g.position_ws[mask], g.normal_ws[mask], ids[mask], seed, context, text)
+        out[mask] = gather_in_tiles(gather, [a[mask] for a in (g.position_ws, g.normal_ws, pixels, places)], seed, context,
+                                    text)
         return out, {"gathered_share": 1.0}
     at = (slice(step_px // 2, None, step_px), slice(step_px // 2, None, step_px))
     if not mask[at].any():
@@ -67,8 +71,8 @@ def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, con
     position_l, normal_l, mask_l = (np.ascontiguousarray(a[at]) for a in (g.position_ws, g.normal_ws, mask))
     columns = 5 if noisy else 3
     lattice = np.zeros((*mask_l.shape, columns), np.float32)
-    lattice[mask_l] = gather_in_tiles(gather, position_l[mask_l], normal_l[mask_l], ids[at][mask_l], seed, context, text,
-                                      columns)
+    points = [a[mask_l] for a in (position_l, normal_l, pixels[at], place_ids(mask_l.shape))]
+    lattice[mask_l] = gather_in_tiles(gather, points, seed, context, text, columns)
     tolerance = PLANE_TOLERANCE_PX * step_px * pixel_footprint_m(frame.camera, g.depth)
     rcp_tolerance = (1 / np.maximum(tolerance, 1e-30)).astype(np.float32)
     context.checkpoint("Filter", 0.0)
@@ -80,7 +84,8 @@ def gather_on_lattice(frame: Frame, gather: Gather, step_px: int, seed: int, con
     out, weak = spread_lattice(smooth, position_l, normal_l, mask_l, g.position_ws, g.normal_ws, mask, rcp_tolerance,
                                step_px, f32(UNREST))
     if weak.any():
-        out[weak] = gather_in_tiles(gather, g.position_ws[weak], g.normal_ws[weak], ids[weak], seed + 1, context, text)
+        points = [a[weak] for a in (g.position_ws, g.normal_ws, pixels, places)]
+        out[weak] = gather_in_tiles(gather, points, seed + 1, context, text)
         if noisy:
             smooth_marked(out, weak, g.position_ws, g.normal_ws, mask, rcp_tolerance)
     surface = max(int(mask.sum()), 1)

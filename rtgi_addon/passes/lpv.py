@@ -163,7 +163,7 @@ def compute_lpv(frame: Frame, params: LpvParams, context: Context, seed: int = 0
     if not volumes:
         return PassResult({Transport.BOUNCE_DIFFUSE: np.zeros_like(frame.gbuffer.albedo)}, diagnostics=diagnostics)
 
-    def gather(position: np.ndarray, normal: np.ndarray, _ids: np.ndarray, _salt: int) -> np.ndarray:
+    def gather(position: np.ndarray, normal: np.ndarray, *_: object) -> np.ndarray:
         return _irradiance(volumes, params, bvh, offset_m, position, normal)
 
     light, spread = gather_on_lattice(frame, gather, params.lattice_px, seed, context, "Light from the grid", noisy=False)

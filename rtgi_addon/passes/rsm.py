@@ -79,8 +79,8 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
     bvh = context.bvh(frame.geometry)
     offset_m, eps2 = f32(frame.ray_offset_m), f32(MIN_DISTANCE2 * frame.scale_m**2)
 
-    def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
-        return gather_visible(position, normal, ids, clusters, eps2, bvh, params.rays, offset_m, salt)
+    def gather(position: np.ndarray, normal: np.ndarray, _: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:
+        return gather_visible(position, normal, places, clusters, eps2, bvh, params.rays, offset_m, salt)
 
     irradiance, diagnostics = gather_on_lattice(frame, gather, params.lattice_px, 2 * seed + 1, context, "Gather the bounce")
     return PassResult({Transport.BOUNCE_DIFFUSE: irradiance},
@@ -94,12 +94,11 @@ def _all_texels(frame: Frame, params: RsmParams, context: Context, seed: int) ->
     table = thin_texels(table, params.samples, seed)
     eps2 = f32(MIN_DISTANCE2 * frame.scale_m**2)
 
-    def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
+    def gather(position: np.ndarray, normal: np.ndarray, _: int) -> np.ndarray:
         return gather_all(position, normal, table, eps2)
 
     g, out = frame.gbuffer, np.zeros_like(frame.gbuffer.albedo)
-    out[g.mask] = gather_in_tiles(gather, g.position_ws[g.mask], g.normal_ws[g.mask], np.flatnonzero(g.mask), seed, context,
-                                  "Gather all texels")
+    out[g.mask] = gather_in_tiles(gather, (g.position_ws[g.mask], g.normal_ws[g.mask]), seed, context, "Gather all texels")
     return PassResult({Transport.BOUNCE_DIFFUSE: out}, diagnostics={"texels": n_texels, "summed": table.shape[1]})
 
 
@@ -115,12 +114,12 @@ def _polar_from(frame: Frame, view: LightView, params: RsmParams, context: Conte
     is_point = frame.lights[view.light_index].kind is LightKind.POINT
     wraps = is_point and view.camera.right - view.camera.left > 2 * np.pi - 1e-3
 
-    def gather(p: np.ndarray, n: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
-        return gather_polar(p, n, column[ids], row[ids], g.position_ws, g.normal_ws, reflected, f32(radius_px),
+    def gather(p: np.ndarray, n: np.ndarray, columns: np.ndarray, rows: np.ndarray, salt: int) -> np.ndarray:
+        return gather_polar(p, n, columns, rows, g.position_ws, g.normal_ws, reflected, f32(radius_px),
                             params.samples, params.weighting == "PUBLISHED", wraps, salt)
 
     out = np.zeros_like(frame.gbuffer.albedo)
-    out[surface] = gather_in_tiles(gather, position, normal, np.arange(len(position)), seed, context, "Sample the map")
+    out[surface] = gather_in_tiles(gather, (position, normal, column, row), seed, context, "Sample the map")
     return out
 
 

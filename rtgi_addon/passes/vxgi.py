@@ -25,6 +25,7 @@ import numpy as np
 from ..core.frame import Frame
 from ..core.techniques import VxgiParams
 from ..core.transforms import Projection
+from ..kernels.sampling import PLACE_BITS, PLACE_MASK
 from ..kernels.vec3 import f32
 from ..kernels.voxel_gather import gather_reflections, gather_voxels
 from ..kernels.voxel_levels import Levels
@@ -111,10 +112,9 @@ def _diffuse(frame: Frame, params: VxgiParams, scene: VoxelScene, lit: LitVoxels
     levels = _no_levels() if is_exact else levels_of(scene, lit, solid)
     targets, cdf = aim_at(scene, lit) if is_aimed and is_exact else NO_TARGETS
     aimed = int(AIMED_SHARE * params.cones) if len(targets) else 0
-    width = frame.gbuffer.shape[1]
 
-    def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
-        row, column = ids // width // params.lattice_px % INTERLEAVE, ids % width // params.lattice_px % INTERLEAVE
+    def gather(position: np.ndarray, normal: np.ndarray, _: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:
+        row, column = (places >> PLACE_BITS) % INTERLEAVE, (places & PLACE_MASK) % INTERLEAVE
         return gather_voxels(scene.grid.to_cells(position), normal, row * INTERLEAVE + column, scene.walk,
                              scene.voxels.cells, levels, lit.radiance, lit.lobes, sky, targets, cdf, params.cones, aimed,
                              f32(params.exact_voxels), salt)

@@ -64,8 +64,8 @@ def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int
     low, high = frame.geometry.bounds_ws
     reach = float(np.linalg.norm(high - low)) + float(np.abs(g.position_ws).max(initial=0)) * 2 + 1.0
 
-    def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, salt: int) -> np.ndarray:
-        return gather_sky(position, normal, ids, sky.radiance, cdf, density, bvh, params.rays,
+    def gather(position: np.ndarray, normal: np.ndarray, _: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:
+        return gather_sky(position, normal, places, sky.radiance, cdf, density, bvh, params.rays,
                           f32(0.0 if sky.is_constant else MAP_SHARE), f32(frame.ray_offset_m), f32(reach), salt)
 
     irradiance, diagnostics = gather_on_lattice(frame, gather, params.lattice_px, 2 * seed + 3, context, "World light")

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtgi_addon.kernels.sampling import cosine_hemisphere, disk, r2_sequence, uniform, uniform_sphere
+from rtgi_addon.kernels.sampling import (
+    cosine_hemisphere,
+    disk,
+    dither,
+    place_id,
+    place_ids,
+    r2_sequence,
+    uniform,
+    uniform_sphere,
+)
 from rtgi_addon.kernels.vec3 import f32
 
 STEPS = 64
@@ -35,6 +44,28 @@ def test_hash_is_even():
 def test_hash_of_neighbours_is_uncorrelated():
     # 4096 draws: the coefficient's deviation is 1/64
     assert abs(np.corrcoef(hashes(a=3), hashes(a=4))[0, 1]) < 4 / 64
+
+
+BLOCKS = ((0, 0, 0), (37, 1001, 5), (4000, 3, 12))     # first row and column, seed
+
+
+@pytest.mark.parametrize("pattern", [0, 1, 2])
+def test_dither_fills_every_block_evenly(pattern):
+    # 16 numbers that are even leave gaps of at most 2 / 16 (white noise: 0.21 in the mean)
+    for i, j, seed in BLOCKS:
+        values = np.sort([dither(place_id(i + a, j + b), seed, pattern) for a in range(4) for b in range(4)])
+        assert (values >= 0).all() and (values < 1).all()
+        assert np.diff([*values, values[0] + 1]).max() < 2.2 / 16
+
+
+def test_pairs_of_dither_fill_the_square():
+    # 64 points on a square grid lie 1 / 8 apart; of 64 random ones the nearest two lie 0.007 apart in the mean
+    for i, j, seed in BLOCKS:
+        places = place_ids((i + 8, j + 8))[i:, j:].ravel()
+        pairs = np.array([(dither(p, seed, 0), dither(p, seed, 1)) for p in places])
+        apart = np.abs(pairs[:, None] - pairs)
+        distance = np.linalg.norm(np.minimum(apart, 1 - apart), axis=-1) + 9 * np.eye(64)
+        assert distance.min() > 0.6 / 8
 
 
 def test_hash_takes_negative_and_large_integers():
