@@ -26,7 +26,7 @@ from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
 from ..kernels.bvh import STACK, Bvh, visibility
 from ..kernels.jit import borrowed, device_jit, pixel_jit
 from ..kernels.lamps import Lamp
-from ..kernels.sampling import r2_sequence, uniform
+from ..kernels.sampling import dither, place_id, r2_sequence, uniform
 from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
 from .base import Context, PassResult, Technique, Transport
 from .screen import PROJECTION_CODES
@@ -48,6 +48,12 @@ WITHOUT_BOUND = f32(1e30)
 FAINT_SHARE = f32(5e-3)     # for less the map's own four texels tell the shadow, not rays
 MINOR_SHARE = f32(0.1)      # for less one ray tells it, with noise in half shadows
 MIDDLE_SHARE = f32(0.3)     # for less half as many rays do
+# A pixel asks those beside it that were traced before, where they show the same smooth surface:
+LIKE_NORMAL = f32(0.9)      # cosine between the normals, at least
+LIKE_PLANE = f32(0.1)       # distance from the tangent plane over distance, at most
+EVEN_SPREAD = f32(0.2)      # and their mean will do in half shadow where they lie no farther apart than this
+UNKNOWN = f32(-1)
+SHARE_OF = np.float32([UNKNOWN, 1, 0, UNKNOWN])     # by the map's answer: none, LIT, DARK, ASK
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -87,6 +93,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
     far_m = _length_out_of(bvh)
     views = {view.light_index: view for view in frame.views}
     starts = _Starts(np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.zeros(count, np.uint8))
+    shares = _Shares(*np.full((2, count), UNKNOWN))
     sources = [_source(index, light, views.get(index), frame, has_rays, params, far_m, seed)
                for index, light in enumerate(frame.lights)
                if np.any(light.power > 0) and (light.diffuse_factor > 0 or light.glossy_factor > 0)]
@@ -101,8 +108,9 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
             bare, state = _Bare(*np.zeros((2, len(part)), np.float32)), np.zeros(len(part), np.uint8)
             _light_pixels(len(part), part, source.lamp, source.colours, pixels, source.salt, source.shadow_map, source.test,
                           f32(source.strength), bare, out, state)
-            found.append((source, bare, np.flatnonzero(state == shadow.ASK)))
-        for number, (source, bare, left) in enumerate(found):
+            found.append((source, bare, state))
+        for number, (source, bare, state) in enumerate(found):
+            left = np.flatnonzero(state == shadow.ASK)
             share = (tile + 0.3 + 0.7 * number / len(sources)) / tiles
             if source.test == MAP and has_rays:
                 is_faint = source.colours[6] * bare.diffuse[left] < FAINT_SHARE * out.could[part[left]]
@@ -113,12 +121,16 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
             if not has_rays:
                 _ask_map(part, left, source.colours, pixels, source.shadow_map, bare, out)
                 continue
+            shares.diffuse[part] = shares.glossy[part] = SHARE_OF[state]
+            is_first = (part[left] // pixels.width | part[left] % pixels.width) % 2 == 0
             step = max(TILE_RAYS // params.soft_shadow_rays, 1)
-            for first in range(0, len(left), step):
-                context.checkpoint("Direct Light", share)
-                few = left[first:first + step]
-                _trace_pixels(len(few), part, few, source.lamp, source.colours, pixels, source.salt, source.shadow_map, bare,
-                              starts, bvh, pilots, params.soft_shadow_rays, out)
+            for some in (left[is_first], left[~is_first]):
+                for first in range(0, len(some), step):
+                    context.checkpoint("Direct Light", share)
+                    few = some[first:first + step]
+                    _trace_pixels(len(few), part, few, source.lamp, source.colours, pixels, source.salt, source.shadow_map,
+                                  bare, starts, bvh, pilots, params.soft_shadow_rays, shares, out)
+        shares.diffuse[part] = UNKNOWN
     with np.errstate(divide="ignore", invalid="ignore"):
         visibility = np.where(out.could > 0, np.clip(out.does / out.could, 0, 1), 1).astype(np.float32)
     return PassResult({Transport.DIRECT_DIFFUSE: out.diffuse.reshape(height, width, 3),
@@ -130,7 +142,7 @@ class _Pixels(NamedTuple):
     """The camera's pixels as kernels take them: (N, 3) and (N,) float32.
 
     `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `eye_span` is the largest coordinate of
-    the camera's position. reflectance, f0 and gain: of the glossy lobe, see `brdf.fit_lobe`; reflectance is 0 without one.
+    the camera's position; `width` is the picture's. reflectance, f0 and gain: of the glossy lobe, see `brdf.fit_lobe`; reflectance is 0 without one.
     """
 
     position: np.ndarray
@@ -143,6 +155,7 @@ class _Pixels(NamedTuple):
     eye: np.ndarray
     eye_span: np.float32
     is_parallel: bool
+    width: int
 
 
 class _Source(NamedTuple):
@@ -196,6 +209,13 @@ class _Starts(NamedTuple):
     known: np.ndarray
 
 
+class _Shares(NamedTuple):
+    """Shares (N,) of one lamp's light that arrive; UNKNOWN where nothing has told yet."""
+
+    diffuse: np.ndarray
+    glossy: np.ndarray
+
+
 class _Sums(NamedTuple):
     """What the kernels add to: (N, 3) irradiance and glossy radiance, (N,) luminance that could arrive and that does."""
 
@@ -207,6 +227,7 @@ class _Sums(NamedTuple):
 
 def _pack_pixels(frame: Frame) -> _Pixels:
     g, camera = frame.gbuffer, frame.camera
+    width = g.shape[1]
     position, normal, specular = (np.ascontiguousarray(a.reshape(-1, 3), np.float32)
                                   for a in (g.position_ws, g.normal_ws, g.specular))
     is_parallel = camera.projection is Projection.ORTHOGRAPHIC
@@ -214,7 +235,7 @@ def _pack_pixels(frame: Frame) -> _Pixels:
     roughness = np.ascontiguousarray(g.roughness.ravel(), np.float32)
     pixels = _Pixels(position, normal, specular, roughness, specular.max(1), g.f0.ravel().astype(np.float32),
                      np.ones(len(position), np.float32), np.float32([eye]), f32(np.abs(camera.position_ws).max()),
-                     is_parallel)
+                     is_parallel, width)
     _fit_lobes(len(position), pixels, albedo_table(frame.keeps_energy))
     return pixels
 
@@ -372,6 +393,48 @@ def _seen(bvh, stack, start, side, p, d):
 
 
 @device_jit
+def _is_alike(pixels, q, r):
+    """Do pixels q and r show the same smooth surface?"""
+    n, d = load(pixels.normal, q), sub(load(pixels.position, r), load(pixels.position, q))
+    return dot(n, load(pixels.normal, r)) > LIKE_NORMAL and abs(dot(n, d)) <= LIKE_PLANE * length(d)
+
+
+@device_jit
+def _shares_beside(q, pixels, shares):
+    """(lowest share, highest, mean share of the irradiance, of the glossy light) of the pixels beside q that are traced first.
+
+    They are two or four. The lowest is negative where q is such a pixel itself, or one of them is not known or shows another
+    surface.
+    """
+    row, column = q // pixels.width, q % pixels.width
+    odd_row, odd_column = row & 1, column & 1
+    low, high, diffuse, glossy = ONE, ZERO, ZERO, ZERO
+    if odd_row + odd_column == 0 or column + odd_column >= pixels.width:
+        return -ONE, ZERO, ZERO, ZERO
+    for i in range(odd_row + 1):
+        for j in range(odd_column + 1):
+            r = (row - odd_row + 2 * i) * pixels.width + column - odd_column + 2 * j
+            if r >= len(shares.diffuse) or shares.diffuse[r] == UNKNOWN or not _is_alike(pixels, q, r):
+                return -ONE, ZERO, ZERO, ZERO
+            low, high = min(low, shares.diffuse[r]), max(high, shares.diffuse[r])
+            diffuse, glossy = diffuse + shares.diffuse[r], glossy + shares.glossy[r]
+    count = f32((odd_row + 1) * (odd_column + 1))
+    return low, high, diffuse / count, glossy / count
+
+
+@device_jit
+def _still_holds(lamp, bvh, stack, p, start, side, share, first, turn):
+    """Do two rays to opposite points of the lamp's rim get as much light through as `share`? `first` of 0 or 1 says which."""
+    across = 3 if lamp.kind == lamps.RECTANGLE_LAMP else 2
+    for i in range(2 if lamps.apparent_size(lamp, p) > ZERO else 1):
+        x, y = lamps.pilot_point(lamp, first ^ (across * i), turn)
+        d, _ = lamps.lamp_at(lamp, p, x, y)
+        if _seen(bvh, stack, start, side, p, d) != share:
+            return False
+    return True
+
+
+@device_jit
 def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots, rays, shift_u, shift_v):
     """(share of the irradiance, share of the glossy light) that arrives at p.
 
@@ -414,7 +477,16 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
 
 
 @device_jit
-def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, out):
+def _shifts(q, width, salt):
+    """Two numbers of pixel q whose gaps those of its neighbours fill, among the pixels traced first and among the others."""
+    row, column = q // width, q % width
+    place, kind = place_id(row >> 1, column >> 1), 6 * (row & 1) + 3 * (column & 1)
+    return dither(place, salt, kind), dither(place, salt, kind + 1)
+
+
+@device_jit
+def _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, is_minor, expected):
+    """(share of the irradiance, share of the glossy light) that a second look at the map, or rays, find at pixel q."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
     viewer, distance = _viewer(pixels, p)
     error = _error_of(pixels, p, distance)
@@ -424,34 +496,50 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
         starts.side[q, 0], starts.side[q, 1], starts.side[q, 2] = side
         starts.known[q] = 1
     start, side = load(starts.place, q), load(starts.side, q)
-    share, glossy_share = ONE, ONE
-    is_highlight = bare.glossy[k] * pixels.reflectance[q] > bare.diffuse[k] * INV_PI
-    is_minor = pilots > 0 and not is_highlight and colours[6] * bare.diffuse[k] < MINOR_SHARE * out.could[q]
-    answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO and not is_minor else shadow.ASK
+    shift_u, shift_v = _shifts(q, pixels.width, salt)
     if is_minor:
-        x, y, _ = lamps.lamp_place(lamp, p, uniform(q, 2, salt), uniform(q, 3, salt))
+        x, y, _ = lamps.lamp_place(lamp, p, shift_u, shift_v)
         d, _ = lamps.lamp_at(lamp, p, x, y)
         share = _seen(bvh, stack, start, side, p, d)
-        glossy_share = share
-    elif answer == shadow.ASK:
-        alpha = pixels.roughness[q] * pixels.roughness[q]
-        if pilots > 0 and not is_highlight and colours[6] * bare.diffuse[k] < MIDDLE_SHARE * out.could[q]:
+        return share, share
+    answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO else shadow.ASK
+    if answer != shadow.ASK:
+        share = ONE if answer == shadow.LIT else ZERO
+        return share, share
+    if expected >= ZERO and _still_holds(lamp, bvh, stack, p, start, side, expected, q + q // pixels.width & 1, shift_u):
+        return expected, expected
+    alpha = pixels.roughness[q] * pixels.roughness[q]
+    return _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, pixels.f0[q], pilots, rays, shift_u, shift_v)
+
+
+@device_jit
+def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, shares, out):
+    is_highlight = bare.glossy[k] * pixels.reflectance[q] > bare.diffuse[k] * INV_PI
+    is_minor, low, high, share, glossy_share = False, -ONE, ONE, ZERO, ZERO
+    if pilots > 0 and not is_highlight:
+        is_minor = colours[6] * bare.diffuse[k] < MINOR_SHARE * out.could[q]
+        if not is_minor and colours[6] * bare.diffuse[k] < MIDDLE_SHARE * out.could[q]:
             pilots, rays = pilots // 2, max(rays // 2, 1)
-        share, glossy_share = _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, pixels.f0[q], pilots,
-                                           rays, uniform(q, 2, salt), uniform(q, 3, salt))
-    if answer != shadow.DARK:
-        _add(q, bare.diffuse[k] * share, bare.glossy[k] * glossy_share, colours, pixels, out)
+        low, high, share, glossy_share = _shares_beside(q, pixels, shares)
+    # four of one kind may hide a thin shadow between them; a lamp that gives little is not worth the look
+    if not (ZERO < low and high < ONE and high - low <= EVEN_SPREAD or is_minor and low == high):
+        expected = share if low == high else -ONE
+        share, glossy_share = _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays,
+                                          is_minor, expected)
+    shares.diffuse[q], shares.glossy[q] = share, glossy_share
+    _add(q, bare.diffuse[k] * share, bare.glossy[k] * glossy_share, colours, pixels, out)
 
 
 @pixel_jit
-def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, out):
-    """Add the light that a second look at the map, and rays, find at the pixels `left` (M,) of `index` (K,)."""
-    lamp, pixels, shadow_map, bare, bvh, out = borrowed((lamp, pixels, shadow_map, bare, bvh, out))
+def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, shares,
+                  out):
+    """Add the light that a second look at the map, rays, or pixels beside find at the pixels `left` (M,) of `index` (K,)."""
+    lamp, pixels, shadow_map, bare, bvh, shares, out = borrowed((lamp, pixels, shadow_map, bare, bvh, shares, out))
     stack = np.empty(STACK, np.int32)
     for m in range(begin, end):
         k = left[m]
         _trace_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays,
-                        out)
+                        shares, out)
 
 
 @device_jit
