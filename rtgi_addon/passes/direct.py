@@ -5,7 +5,8 @@ lamp's own view whether anything is (`kernels.shadow`): lit and dark pixels are 
 shadows, are put into a list. For them the second kernel finds the pixel's triangle, looks at the map once more with its
 plane, and where that does not settle it traces rays through the scene's triangles: one ray to a lamp without size, else
 eight spread over it and, where those disagree, a stratified set over its shape. The share of the light that arrives, in
-proportion to what each ray would carry, multiplies the closed form, so noise is left in half shadows only.
+proportion to what each ray would carry, multiplies the closed form, so noise is left in half shadows only. Pixels in even
+rows and columns go first; the others ask them, and trace less where these agree.
 
 Deviations from Cycles: materials with transparency cast full shadows; Cycles' push of shadow rays off smooth-shaded,
 coarse meshes ("shadow terminator") is not modelled.
