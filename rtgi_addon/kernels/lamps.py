@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .brdf import fresnel, ggx_lobe, sample_lobe
-from .jit import device_jit
+from .jit import borrowed, device_jit, pixel_jit
 from .sampling import disk, r2_sequence
 from .vec3 import ONE, ZERO, Vec3, cross, dot, f32, length, load, normalized_or, scaled, sub, tangent_frame
 
@@ -309,6 +309,17 @@ def _from_centre(lamp, p, n, viewer, alpha, f0, is_glossy):
     if not weight > ZERO or not cosine > ZERO:
         return ZERO, ZERO
     return weight * cosine, weight * ggx_lobe(n, viewer, unit, alpha * alpha, f0) if is_glossy else ZERO
+
+
+@pixel_jit
+def gain_of_size(begin, end, lamp, position, normal, most, out):
+    """What a lamp sends to points (N, 3) with unit normals (N, 3) over what its centre alone would, at most `most`: (N,)."""
+    lamp, = borrowed((lamp,))
+    for k in range(begin, end):
+        p, n = load(position, k), load(normal, k)
+        centre, _ = _from_centre(lamp, p, n, n, ONE, ONE, False)
+        whole, _ = unshadowed(lamp, p, n, n, ONE, ONE, ZERO, False, HALF, HALF)
+        out[k] = min(whole / centre, most) if centre > ZERO else ONE
 
 
 @device_jit

@@ -23,13 +23,16 @@ from ..core.techniques import RsmParams
 from ..kernels.brdf import albedo_table, mean_albedo_table
 from ..kernels.clusters import DIFFUSE, GLOSSY, NORMAL, POSITION, ROWS, cluster_texels, fill_texels
 from ..kernels.gather import gather_visible
+from ..kernels.lamps import gain_of_size
 from ..kernels.vec3 import f32, vector
 from ..kernels.vpl import gather_all, gather_polar, thin_texels
 from .base import Context, PassResult, Technique, Transport
+from .direct import pack_lamp
 from .lattice import gather_in_tiles, gather_on_lattice
 from .screen import is_shown
 
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
+MOST_GAIN = f32(4)          # of a lamp's size: at grazing places its centre gives nearly nothing
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
@@ -42,6 +45,16 @@ def is_reflecting(view: LightView, light: Light, use_glossy: bool) -> np.ndarray
     return np.einsum("hwc,hwc->hw", view.incident_flux, colour) > 0
 
 
+def _flux_of(view: LightView, light: Light) -> np.ndarray:
+    """(H, W, 3) W: `incident_flux` as the whole of an area lamp sends it, not its centre alone, to places near it."""
+    if not light.kind.is_area:
+        return view.incident_flux
+    g, gain = view.gbuffer, np.ones(view.gbuffer.shape, np.float32)
+    gain_of_size(gain.size, pack_lamp(light, 1.0), g.position_ws.reshape(-1, 3), g.normal_ws.reshape(-1, 3), MOST_GAIN,
+                 gain.reshape(-1))
+    return view.incident_flux * gain[..., None]
+
+
 def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
     """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture."""
     reflecting = [is_reflecting(view, frame.lights[view.light_index], use_glossy) for view in frame.views]
@@ -50,7 +63,7 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
     for view, reflects in zip(frame.views, reflecting, strict=True):
         g, light, count = view.gbuffer, frame.lights[view.light_index], np.count_nonzero(reflects, axis=1)
         fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo,
-                    g.specular, g.roughness, g.f0, view.incident_flux, vector(light.position_ws),
+                    g.specular, g.roughness, g.f0, _flux_of(view, light), vector(light.position_ws),
                     vector(-light.direction_ws), light.kind is LightKind.SUN, albedo_table(frame.keeps_energy),
                     mean_albedo_table(frame.keeps_energy), use_glossy)
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
