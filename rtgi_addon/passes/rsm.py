@@ -46,12 +46,15 @@ def is_reflecting(view: LightView, light: Light, use_glossy: bool) -> np.ndarray
 
 
 def _flux_of(view: LightView, light: Light) -> np.ndarray:
-    """(H, W, 3) W: `incident_flux` as the whole of an area lamp sends it, not its centre alone, to places near it."""
-    if not light.kind.is_area:
+    """(H, W, 3) W: `incident_flux` as the whole of an area lamp sends it, not its centre alone, to places near it.
+
+    Not of a lamp with a narrow spread: its centre lights a cone, and the whole of it a tube, which the view does not show.
+    """
+    lamp = pack_lamp(light, 1.0)
+    if not light.kind.is_area or lamp.spread_gain > 0:
         return view.incident_flux
-    g, gain = view.gbuffer, np.ones(view.gbuffer.shape, np.float32)
-    gain_of_size(gain.size, pack_lamp(light, 1.0), g.position_ws.reshape(-1, 3), g.normal_ws.reshape(-1, 3), MOST_GAIN,
-                 gain.reshape(-1))
+    g, gain = view.gbuffer, np.empty(view.gbuffer.shape, np.float32)
+    gain_of_size(gain.size, lamp, g.position_ws.reshape(-1, 3), g.normal_ws.reshape(-1, 3), MOST_GAIN, gain.reshape(-1))
     return view.incident_flux * gain[..., None]
 
 

@@ -10,8 +10,9 @@ import pytest
 from rtgi_addon.core.frame import Light, LightKind
 from rtgi_addon.core.synthetic import make_room_frame
 from rtgi_addon.core.techniques import DirectParams
+from rtgi_addon.kernels.lamps import gain_of_size
 from rtgi_addon.passes.base import Context, Transport
-from rtgi_addon.passes.direct import compute_direct
+from rtgi_addon.passes.direct import compute_direct, pack_lamp
 from tests.oracle import direct_oracle
 from tests.plane_frames import looking, plane_frame
 
@@ -47,6 +48,24 @@ def test_soft_lamp_agrees_within_the_noise_of_its_rays(kind):
 def test_rays_at_every_pixel_change_nothing_that_the_map_decided(kind):
     frame = make_room_frame(64, 48, (kind,), 0.0)
     np.testing.assert_array_equal(direct(frame), direct(frame, exact_shadows=True))
+
+
+@pytest.mark.parametrize("kind", [LightKind.RECTANGLE, LightKind.DISK])
+def test_gain_of_a_lamps_size_is_all_patches_over_its_centre(kind):
+    light = Light("Area", kind, looking((0.1, 0.2, 2.0), (0, 0, 0)), np.ones(3), size_x_m=1.0, size_y_m=0.6)
+    # on a wall beside the lamp, on the floor, and on a wall that sees most of it
+    place = np.array([(-0.9, 0.0, 1.7), (-0.9, 0.2, 0.5), (0.0, 0.0, 0.3), (1.5, 1.0, 0.0), (0.2, 1.2, 1.2)])
+    normal = np.array([(1.0, 0, 0), (1.0, 0, 0), (0, 0, 1.0), (0, 0, 1.0), (0, -1.0, 0)])
+    to = light.position_ws - place
+    area_m2 = light.size_x_m * light.size_y_m * (1 if kind is LightKind.RECTANGLE else np.pi / 4)
+    centre = area_m2 * (to @ light.world_from_light[:3, 2]) * (to * normal).sum(1) / (to * to).sum(1) ** 2
+    whole = [direct_oracle.irradiance(light, p, n, None, 64)[0] for p, n in zip(place, normal, strict=True)]
+    expected = np.array(whole) / centre
+    gain = np.empty(len(place), np.float32)
+    gain_of_size(len(place), pack_lamp(light, 1.0), place.astype(np.float32), normal.astype(np.float32), np.float32(4), gain)
+    assert expected.max() > 1.2 and expected.min() < 0.95
+    # far lamps take four samples, and an ellipse is a polygon of its area
+    np.testing.assert_allclose(gain, expected, rtol=0.01)
 
 
 @pytest.mark.parametrize("kind", [LightKind.RECTANGLE, LightKind.DISK])
