@@ -535,7 +535,7 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
 def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, shares,
                   out):
     """Add the light that a second look at the map, rays, or pixels beside find at the pixels `left` (M,) of `index` (K,)."""
-    lamp, pixels, shadow_map, bare, bvh, shares, out = borrowed((lamp, pixels, shadow_map, bare, bvh, shares, out))
+    lamp, pixels, shadow_map, bare, starts, bvh, shares, out = borrowed((lamp, pixels, shadow_map, bare, starts, bvh, shares, out))
     stack = np.empty(STACK, np.int32)
     for m in range(begin, end):
         k = left[m]
