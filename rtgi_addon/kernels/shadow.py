@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .bvh import closest_triangle, triangle_normal
-from .jit import device_jit
+from .jit import device_jit, inline_jit
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, moved_by, scaled, turned_by
 
 PERSPECTIVE, ORTHOGRAPHIC, EQUIRECTANGULAR = 0, 1, 2
@@ -180,7 +180,7 @@ def _spread_reach(reach, tallest, is_wrapped):
         _sweep_row(reach, tallest, i, i + 1 if i + 1 < rows else -1, columns - 1, -1, is_wrapped)
 
 
-@device_jit
+@inline_jit
 def _project(m, p):
     """Column, row (texel centres at +0) and height of p in map m; height NOTHING behind a perspective view."""
     q = moved_by(m.view_from_world, p)
@@ -201,7 +201,7 @@ def _project(m, p):
     return (x - m.left) / m.step_x - f32(0.5), (m.top - y) / m.step_y - f32(0.5), height
 
 
-@device_jit
+@inline_jit
 def _corner(m, i, j):
     """Column index of a texel, wrapped in a full equirectangular view; -1 outside the map."""
     rows, columns = m.height.shape
@@ -212,7 +212,7 @@ def _corner(m, i, j):
     return j if 0 <= j < columns else -1
 
 
-@device_jit
+@inline_jit
 def classify(m, p, error):
     """LIT, DARK or ASK for point p; `error` bounds the distance in m of p from the true surface."""
     column, row, h = _project(m, p)
@@ -245,7 +245,7 @@ def classify(m, p, error):
     return DARK if h < low - slack - CLEAR_PX * foot * scale else ASK
 
 
-@device_jit
+@inline_jit
 def _plane_height(m, n, over, h, column, row, i, j):
     """Height of the plane through a point (column, row, h) with view-space normal n where texel (i, j) sees it.
 
@@ -260,7 +260,7 @@ def _plane_height(m, n, over, h, column, row, i, j):
     return (n.x * c * math.sin(x) + n.y * math.sin(y) - n.z * c * math.cos(x)) * over
 
 
-@device_jit
+@inline_jit
 def look_around(m, p, n, error):
     """LIT, DARK or ASK for point p of a triangle with unit normal n, for a lamp that has a size.
 
@@ -312,7 +312,7 @@ def look_around(m, p, n, error):
     return DARK if clear == above else ASK
 
 
-@device_jit
+@inline_jit
 def map_visibility(m, p, error):
     """Share of the four texels around p that do not hide it: what remains where no rays can be traced; 1 off the map."""
     column, row, h = _project(m, p)
@@ -335,7 +335,7 @@ def map_visibility(m, p, error):
     return total / weights if weights > f32(1e-6) else ONE
 
 
-@device_jit
+@inline_jit
 def find_surface(bvh, stack, p, towards_viewer, span):
     """(found, point, normal on the viewer's side): the triangle at p, met along the viewer's ray within `span` m of p.
 

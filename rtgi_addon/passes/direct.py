@@ -25,7 +25,7 @@ from ..core.transforms import Projection
 from ..kernels import lamps, shadow
 from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
 from ..kernels.bvh import STACK, Bvh, visibility
-from ..kernels.jit import borrowed, device_jit, pixel_jit
+from ..kernels.jit import borrowed, device_jit, inline_jit, pixel_jit
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import dither, place_id, r2_sequence, uniform
 from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
@@ -297,7 +297,7 @@ def pack_shadow_map(view: LightView | None, light: Light, geometry: Geometry | N
                                    *camera.pixel_size, view.gbuffer.depth, source, veils)
 
 
-@device_jit
+@inline_jit
 def _viewer(pixels, p):
     """(unit vector from p to the viewer, its length in m or 0)."""
     if pixels.is_parallel:
@@ -306,7 +306,7 @@ def _viewer(pixels, p):
     return normalized_or(to, Vec3(ZERO, ZERO, ONE)), length(to)
 
 
-@device_jit
+@inline_jit
 def _error_of(pixels, p, distance):
     """How far in m position p may be off its surface: what a depth pass in float32 leaves."""
     return POSITION_ERROR * (distance + pixels.eye_span + max(abs(p.x), max(abs(p.y), abs(p.z))))
@@ -325,7 +325,7 @@ def _fit_lobes(begin, end, pixels, albedos):
                                                     pixels.f0[q])
 
 
-@device_jit
+@inline_jit
 def _add(q, diffuse, glossy, colours, pixels, out):
     for c in range(3):
         out.diffuse[q, c] += colours[c] * diffuse
@@ -333,7 +333,7 @@ def _add(q, diffuse, glossy, colours, pixels, out):
     out.does[q] += colours[6] * diffuse
 
 
-@device_jit
+@inline_jit
 def _light_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, test, strength, bare, out):
     """Find the unshadowed light and add it if nothing stands between; returns what the map says: LIT, DARK or ASK."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
@@ -371,7 +371,7 @@ def _light_pixels(begin, end, index, lamp, colours, pixels, salt, shadow_map, te
         state[k] = _light_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, test, strength, bare, out)
 
 
-@device_jit
+@inline_jit
 def _ray_start(bvh, stack, p, n, viewer, distance, error):
     """(start of shadow rays, geometric normal on the viewer's side)."""
     span = max(SPAN * distance, f32(16) * error)
@@ -382,7 +382,7 @@ def _ray_start(bvh, stack, p, n, viewer, distance, error):
     return along(o, side, OFFSET * size + f32(0.05) * error), side
 
 
-@device_jit
+@inline_jit
 def _seen(bvh, stack, start, side, p, d):
     """Share of light that gets along the vector d from a lamp to p; none from behind the triangle's own plane."""
     if dot(side, d) <= ZERO:
@@ -393,14 +393,14 @@ def _seen(bvh, stack, start, side, p, d):
     return visibility(bvh, stack, begin, Vec3(p.x + d.x - begin.x, p.y + d.y - begin.y, p.z + d.z - begin.z))
 
 
-@device_jit
+@inline_jit
 def _is_alike(pixels, q, r):
     """Do pixels q and r show the same smooth surface?"""
     n, d = load(pixels.normal, q), sub(load(pixels.position, r), load(pixels.position, q))
     return dot(n, load(pixels.normal, r)) > LIKE_NORMAL and abs(dot(n, d)) <= LIKE_PLANE * length(d)
 
 
-@device_jit
+@inline_jit
 def _shares_beside(q, pixels, shares):
     """(lowest share, highest, mean share of the irradiance, of the glossy light) of the pixels beside q that are traced first.
 
@@ -423,7 +423,7 @@ def _shares_beside(q, pixels, shares):
     return low, high, diffuse / count, glossy / count
 
 
-@device_jit
+@inline_jit
 def _still_holds(lamp, bvh, stack, p, start, side, share, first, turn):
     """Do two rays to opposite points of the lamp's rim get as much light through as `share`? `first` of 0 or 1 says which."""
     across = 3 if lamp.kind == lamps.RECTANGLE_LAMP else 2
@@ -435,7 +435,7 @@ def _still_holds(lamp, bvh, stack, p, start, side, share, first, turn):
     return True
 
 
-@device_jit
+@inline_jit
 def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots, rays, shift_u, shift_v):
     """(share of the irradiance, share of the glossy light) that arrives at p.
 
@@ -477,7 +477,7 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
     return share, (glossy_seen / glossy_all if glossy_all > ZERO else share)
 
 
-@device_jit
+@inline_jit
 def _shifts(q, width, salt):
     """Two numbers of pixel q whose gaps those of its neighbours fill, among the pixels traced first and among the others."""
     row, column = q // width, q % width
@@ -485,7 +485,7 @@ def _shifts(q, width, salt):
     return dither(place, salt, kind), dither(place, salt, kind + 1)
 
 
-@device_jit
+@inline_jit
 def _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, is_minor, expected):
     """(share of the irradiance, share of the glossy light) that a second look at the map, or rays, find at pixel q."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
@@ -513,7 +513,7 @@ def _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, 
     return _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, pixels.f0[q], pilots, rays, shift_u, shift_v)
 
 
-@device_jit
+@inline_jit
 def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, shares, out):
     is_highlight = bare.glossy[k] * pixels.reflectance[q] > bare.diffuse[k] * INV_PI
     is_minor, low, high, share, glossy_share = False, -ONE, ONE, ZERO, ZERO
