@@ -237,8 +237,8 @@ def gather_visible(position, normal, places, clusters, eps2, bvh, rays, offset_m
     """Irradiance at points (M, 3) with unit normals (M, 3) by `rays` shadow rays each, as (M, 5) float32.
 
     Columns: irradiance by colour; what the clusters would give unshadowed (mean over colours); variance of the mean. W/m2.
-    `places` (M,) int64, see `sampling.place_ids`, seed each point's random numbers; `eps2` m2 keeps 1 / r^2 finite on the texel itself; `offset_m`
-    lifts both ends of a ray off their surfaces.
+    `places` (M,) int64, see `sampling.place_ids`, seed each point's random numbers; `eps2` m2 keeps 1 / r^2 finite on the
+    texel itself; `offset_m` lifts both ends of a ray off their surfaces.
     """
     out = np.zeros((len(position), 5), np.float32)
     _gather_visible(len(position), position, normal, places, clusters, eps2, bvh, rays, offset_m, seed, out)

@@ -99,8 +99,8 @@ def gather_sky(position, normal, places, radiance, cdf, density, bvh, rays, map_
     cosine; both are weighed by the balance heuristic (Veach 1997, Eq. 9.8).
     """
     out = np.zeros((len(position), 5), np.float32)
-    _gather_sky(len(position), position, normal, places, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed,
-                out)
+    _gather_sky(len(position), position, normal, places, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m,
+                seed, out)
     return out
 
 

@@ -143,7 +143,8 @@ class _Pixels(NamedTuple):
     """The camera's pixels as kernels take them: (N, 3) and (N,) float32.
 
     `eye` (1, 3) is the camera's position, or for parallel rays the direction to it; `eye_span` is the largest coordinate of
-    the camera's position; `width` is the picture's. reflectance, f0 and gain: of the glossy lobe, see `brdf.fit_lobe`; reflectance is 0 without one.
+    the camera's position, `width` the picture's. reflectance, f0 and gain: of the glossy lobe, see `brdf.fit_lobe`;
+    reflectance is 0 without one.
     """
 
     position: np.ndarray
@@ -402,7 +403,7 @@ def _is_alike(pixels, q, r):
 
 @inline_jit
 def _shares_beside(q, pixels, shares):
-    """(lowest share, highest, mean share of the irradiance, of the glossy light) of the pixels beside q that are traced first.
+    """(lowest share, highest, mean share of the irradiance, of the glossy light) of the pixels beside q that go first.
 
     They are two or four. The lowest is negative where q is such a pixel itself, or one of them is not known or shows another
     surface.
@@ -425,7 +426,7 @@ def _shares_beside(q, pixels, shares):
 
 @inline_jit
 def _still_holds(lamp, bvh, stack, p, start, side, share, first, turn):
-    """Do two rays to opposite points of the lamp's rim get as much light through as `share`? `first` of 0 or 1 says which."""
+    """Do two rays to opposite points of the lamp's rim get as much light through as `share`? `first`, 0 or 1, says which."""
     across = 3 if lamp.kind == lamps.RECTANGLE_LAMP else 2
     for i in range(2 if lamps.apparent_size(lamp, p) > ZERO else 1):
         x, y = lamps.pilot_point(lamp, first ^ (across * i), turn)
@@ -523,7 +524,7 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
             pilots, rays = pilots // 2, max(rays // 2, 1)
         low, high, share, glossy_share = _shares_beside(q, pixels, shares)
     # four of one kind may hide a thin shadow between them; a lamp that gives little is not worth the look
-    if not (ZERO < low and high < ONE and high - low <= EVEN_SPREAD or is_minor and low == high):
+    if not (low > ZERO and high < ONE and high - low <= EVEN_SPREAD or is_minor and low == high):
         expected = share if low == high else -ONE
         share, glossy_share = _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays,
                                           is_minor, expected)
@@ -535,7 +536,8 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
 def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, shares,
                   out):
     """Add the light that a second look at the map, rays, or pixels beside find at the pixels `left` (M,) of `index` (K,)."""
-    lamp, pixels, shadow_map, bare, starts, bvh, shares, out = borrowed((lamp, pixels, shadow_map, bare, starts, bvh, shares, out))
+    lamp, pixels, shadow_map, bare, starts, bvh, shares, out = borrowed(
+        (lamp, pixels, shadow_map, bare, starts, bvh, shares, out))
     stack = np.empty(STACK, np.int32)
     for m in range(begin, end):
         k = left[m]

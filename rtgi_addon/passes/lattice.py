@@ -13,9 +13,9 @@ from ..kernels.sampling import place_ids
 from ..kernels.vec3 import f32
 from .base import Context
 
-# A gather function takes points (M, 3), normals (M, 3), their pixels and places in the lattice (M,) (`place_ids`) and a seed,
-# and returns (M, 5) as the kernels do: light by colour, unshadowed mean, variance of the mean; or (M, 3) light alone, which
-# is then smoothed by plane and normal only.
+# A gather function takes points (M, 3), normals (M, 3), their pixels (M,), places in the lattice (M,) as `place_ids` and a
+# seed, and returns (M, 5) as the kernels do: light by colour, unshadowed mean, variance of the mean; or (M, 3) light alone,
+# which is then smoothed by plane and normal only.
 Gather = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int], np.ndarray]
 
 PLANE_TOLERANCE_PX = 1.6    # how far off the tangent plane, in footprints of a lattice cell, a neighbour still counts e^-1

@@ -174,7 +174,7 @@ def compute_rsm(frame: Frame, params: RsmParams, context: Context, seed: int = 0
 
     Notes
     -----
-    Linear in the lights' power; no light gives exactly zero. A lamp's size does not enter: its centre lights the texels.
+    Linear in the lights' power; no light gives exactly zero. Half shadows do not enter: what a lamp's centre sees is lit.
     Light that arrives at a texel after more than one segment is not there: this is one bounce.
     """
     return _METHODS[params.method](frame, params, context, seed)
