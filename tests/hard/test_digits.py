@@ -62,8 +62,9 @@ def test_bounces_without_end_between_white_surfaces_are_no_more_than_an_open_sky
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_sky_that_shines_from_one_texel_lights_a_floor_as_the_sum_says(name):
-    # world: eight rays within the texel (0.7 %); the others take a table of the map
-    assert hard_cases.spike_in_the_sky(name) < (0.02 if name == "world" else 1e-4)
+    # world: rays within the texel (0.2 %), of which one in 5000 goes to the rest of the map, and the smoothing leaves a part of
+    # that gap at one pixel; the others take a table of the map
+    assert hard_cases.spike_in_the_sky(name) < (0.05 if name == "world" else 1e-4)
 
 
 def test_a_square_of_a_millimetre_that_shines_lights_a_floor_as_a_point_does():
@@ -89,5 +90,6 @@ def test_a_broken_pixel_changes_its_neighbours_by_no_more_than_one_of_background
         frame, gbuffer=dataclasses.replace(frame.gbuffer, depth=depth))).light
     black = np.zeros_like(frame.gbuffer.albedo)
     as_hole = max(hard_cases.relative(hole.get(t, black)[others], v[others]) for t, v in wanted.items() if v.any())
-    # a colour that is black instead takes away what that pixel sends: a 192nd of the picture, 5 % of which is seen anywhere
-    assert hard_cases.beside_broken(name, image, True) <= as_hole + 1e-3
+    # a colour that is black instead takes away what that pixel sends: a 192nd of the picture, 5 % of which is seen anywhere;
+    # final gathering has 384 rays in all, and one of them meets it
+    assert hard_cases.beside_broken(name, image, True) <= as_hole + (3e-3 if name == "final_gather" else 1e-3)
