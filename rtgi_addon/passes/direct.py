@@ -27,7 +27,7 @@ from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
 from ..kernels.bvh import STACK, Bvh, visibility
 from ..kernels.jit import borrowed, device_jit, inline_jit, pixel_jit
 from ..kernels.lamps import Lamp
-from ..kernels.sampling import dither, place_id, r2_sequence, uniform
+from ..kernels.sampling import r2_sequence, uniform
 from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
 from .base import Context, PassResult, Technique, Transport
 from .screen import PROJECTION_CODES
@@ -479,14 +479,6 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
 
 
 @inline_jit
-def _shifts(q, width, salt):
-    """Two numbers of pixel q whose gaps those of its neighbours fill, among the pixels traced first and among the others."""
-    row, column = q // width, q % width
-    place, kind = place_id(row >> 1, column >> 1), 6 * (row & 1) + 3 * (column & 1)
-    return dither(place, salt, kind), dither(place, salt, kind + 1)
-
-
-@inline_jit
 def _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, is_minor, expected):
     """(share of the irradiance, share of the glossy light) that a second look at the map, or rays, find at pixel q."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
@@ -498,7 +490,7 @@ def _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, 
         starts.side[q, 0], starts.side[q, 1], starts.side[q, 2] = side
         starts.known[q] = 1
     start, side = load(starts.place, q), load(starts.side, q)
-    shift_u, shift_v = _shifts(q, pixels.width, salt)
+    shift_u, shift_v = uniform(q, 2, salt), uniform(q, 3, salt)
     if is_minor:
         x, y, _ = lamps.lamp_place(lamp, p, shift_u, shift_v)
         d, _ = lamps.lamp_at(lamp, p, x, y)
