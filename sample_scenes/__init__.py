@@ -1,4 +1,4 @@
-"""Nine scenes, built by scripts, in which one bounce of light matters. `python -m sample_scenes.build --list` names them."""
+"""Ten scenes, built by scripts, in which one bounce of light matters. `python -m sample_scenes.build --list` names them."""
 
 SCENES = (
     "cornell_box",
@@ -10,4 +10,5 @@ SCENES = (
     "animated_door",
     "courtyard",
     "many_lights",
+    "caustics",
 )

@@ -87,6 +87,9 @@ class RsmParams(Params):
     glossy_texels: bool = param(
         True, "Lit surfaces send out their glossy lobe too; without it part of the bounce is missing",
         only={"method": ("VISIBLE", "ALL")})
+    photons: int = param(
+        65536, "Photons that follow lamps' light off mirror-like surfaces, for the caustics that these throw; "
+        "more make them sharper, 0 blurs them", low=0, high=1 << 24, soft_high=1 << 20, only={"method": "VISIBLE"})
 
 
 @dataclass(frozen=True)

@@ -54,8 +54,11 @@ class Clusters(NamedTuple):
 
 @pixel_jit
 def fill_texels(begin, end, table, first, reflects, position, normal, albedo, specular, roughness, known_f0, flux,
-                light_position, to_sun, is_sun, albedos, means, use_glossy):
-    """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row."""
+                light_position, to_sun, is_sun, albedos, means, use_glossy, sharpest):
+    """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row.
+
+    Lobes of an alpha below `sharpest` are left out.
+    """
     height, width = roughness.shape
     for i in range(begin, end):
         k = first[i]
@@ -64,14 +67,16 @@ def fill_texels(begin, end, table, first, reflects, position, normal, albedo, sp
                 continue
             p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
             w = to_sun if is_sun else normalized_or(sub(light_position, p), n)
-            alpha = min(max(roughness[i, j] * roughness[i, j], MIN_ALPHA), ONE)
+            alpha = roughness[i, j] * roughness[i, j]
+            has_lobe = use_glossy and alpha >= sharpest
+            alpha = min(max(alpha, MIN_ALPHA), ONE)
             cosine = min(max(dot(n, w), ZERO), f32(0.999))
             reflectance = (specular[i, j, 0] + specular[i, j, 1] + specular[i, j, 2]) * f32(1 / 3)
             f0, gain = fit_lobe(reflectance, cosine, alpha, albedos, known_f0[i, j])
             below, diffuse, glossy = matt_share(reflectance, cosine, alpha, f0, albedos, means), ZERO, ZERO
             for a in range(3):
                 table[DIFFUSE + a, k] = flux[i, j, a] * min(albedo[i, j, a] * below, ONE)
-                table[GLOSSY + a, k] = flux[i, j, a] * specular[i, j, a] * gain if use_glossy else ZERO
+                table[GLOSSY + a, k] = flux[i, j, a] * specular[i, j, a] * gain if has_lobe else ZERO
                 diffuse += table[DIFFUSE + a, k]
                 glossy += table[GLOSSY + a, k]
             table[POSITION, k], table[POSITION + 1, k], table[POSITION + 2, k] = p.x, p.y, p.z

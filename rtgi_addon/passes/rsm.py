@@ -27,6 +27,7 @@ from ..kernels.lamps import gain_of_size
 from ..kernels.vec3 import f32, vector
 from ..kernels.vpl import gather_all, gather_polar, thin_texels
 from .base import Context, PassResult, Technique, Transport
+from .caustics import SHARPEST, Caustics, caustics_of, has_mirrors
 from .direct import pack_lamp
 from .lattice import gather_in_tiles, gather_on_lattice
 from .screen import is_shown
@@ -36,12 +37,12 @@ MOST_GAIN = f32(4)          # of a lamp's size: at grazing places its centre giv
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
-def is_reflecting(view: LightView, light: Light, use_glossy: bool) -> np.ndarray:
-    """(H, W) bool: texels that send light back."""
+def is_reflecting(view: LightView, light: Light, use_glossy: bool, sharpest: float = 0.0) -> np.ndarray:
+    """(H, W) bool: texels that send light back, other than by lobes of an alpha below `sharpest`."""
     g = view.gbuffer
     colour = light.diffuse_factor * g.albedo
     if use_glossy:
-        colour = colour + light.glossy_factor * g.specular
+        colour = colour + light.glossy_factor * g.specular * (g.roughness**2 >= sharpest)[..., None]
     return np.einsum("hwc,hwc->hw", view.incident_flux, colour) > 0
 
 
@@ -58,9 +59,12 @@ def _flux_of(view: LightView, light: Light) -> np.ndarray:
     return view.incident_flux * gain[..., None]
 
 
-def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
-    """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture."""
-    reflecting = [is_reflecting(view, frame.lights[view.light_index], use_glossy) for view in frame.views]
+def texel_table(frame: Frame, use_glossy: bool = True, sharpest: float = 0.0) -> np.ndarray:
+    """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture.
+
+    Lobes of an alpha below `sharpest` are not in it.
+    """
+    reflecting = [is_reflecting(view, frame.lights[view.light_index], use_glossy, sharpest) for view in frame.views]
     table = np.empty((ROWS, sum(int(np.count_nonzero(r)) for r in reflecting)), np.float32)
     offset = 0
     for view, reflects in zip(frame.views, reflecting, strict=True):
@@ -68,7 +72,7 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
         fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo,
                     g.specular, g.roughness, g.f0, _flux_of(view, light), vector(light.position_ws),
                     vector(-light.direction_ws), light.kind is LightKind.SUN, albedo_table(frame.keeps_energy),
-                    mean_albedo_table(frame.keeps_energy), use_glossy)
+                    mean_albedo_table(frame.keeps_energy), use_glossy, f32(sharpest))
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
         mine = slice(offset, offset + int(count.sum()))
         for row, factor in ((DIFFUSE, light.diffuse_factor), (GLOSSY, light.glossy_factor)):
@@ -79,10 +83,14 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
 
 
 def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
-    table = texel_table(frame, params.glossy_texels)
+    bvh, number = context.bvh(frame.geometry), params.photons if params.glossy_texels else 0
+    caustics = caustics_of(frame, _flux_of, number, bvh, context, seed) if number and has_mirrors(frame) else None
+    table = texel_table(frame, params.glossy_texels, 0.0 if caustics is None else SHARPEST)
+    if caustics is None:
+        caustics = Caustics(np.zeros_like(frame.gbuffer.albedo), 0)
     if not table.shape[1]:
-        return PassResult({Transport.BOUNCE_DIFFUSE: np.zeros_like(frame.gbuffer.albedo)}, diagnostics={"texels": 0},
-                          near_left_m=context.near_m)
+        return PassResult({Transport.BOUNCE_DIFFUSE: caustics.irradiance},
+                          diagnostics={"texels": 0, "photons": caustics.photons}, near_left_m=context.near_m)
     n_texels = table.shape[1]
     if n_texels > MAX_TEXELS:
         table = thin_texels(table, MAX_TEXELS, seed)
@@ -92,15 +100,16 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
         shown = is_shown(frame, table[POSITION:POSITION + 3].T, table[NORMAL:NORMAL + 3].T)
         fade = shown * f32(1 / context.near_m**2)
     clusters = cluster_texels(table, params.clusters, frame.scale_m, fade)
-    bvh = context.bvh(frame.geometry)
     offset_m, eps2 = f32(frame.ray_offset_m), f32(MIN_DISTANCE2 * frame.scale_m**2)
 
     def gather(position: np.ndarray, normal: np.ndarray, _: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:
         return gather_visible(position, normal, places, clusters, eps2, bvh, params.rays, offset_m, salt)
 
     irradiance, diagnostics = gather_on_lattice(frame, gather, params.lattice_px, 2 * seed + 1, context, "Gather the bounce")
+    irradiance += caustics.irradiance
     return PassResult({Transport.BOUNCE_DIFFUSE: irradiance},
-                      diagnostics={"texels": n_texels, "clusters": clusters.table.shape[1], **diagnostics},
+                      diagnostics={"texels": n_texels, "clusters": clusters.table.shape[1], "photons": caustics.photons,
+                                   **diagnostics},
                       near_left_m=context.near_m)
 
 

@@ -1,0 +1,128 @@
+"""Caustics: lamps' light that mirror-like surfaces throw, by photons from the texels of the lamps' views.
+
+A caustic is part of one bounce. As a small lamp with a sharp lobe a texel would be found by no draw of a gather, so lobes
+there are widened (`kernels.clusters.MIN_ALPHA`), and the light of a mirror comes as a blur. Here it is followed instead
+(`kernels.photons`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core.frame import Frame, Light, LightView
+from ..core.transforms import Camera
+from ..kernels.brdf import albedo_table
+from ..kernels.bvh import Bvh
+from ..kernels.clusters import MIN_ALPHA
+from ..kernels.photons import Mirrors, Photons, add_photons, count_photons, make_photons, shoot_photons, spread_photons
+from ..kernels.vec3 import f32
+from .base import Context
+from .direct import pack_lamp
+from .screen import screen_of
+from .surroundings import reach_out_m
+
+SHARPEST = float(MIN_ALPHA)     # alpha below which a texel's lobe is left to photons
+LEAST_SHARE = 2e-3          # of the light that all texels send on: less in mirrors is not worth the photons
+MOST_RADIUS = 0.05          # of the scene's size: of a lone photon's disk
+TILE_PHOTONS = 1 << 16      # between two looks at Esc
+
+
+class Caustics(NamedTuple):
+    """(H, W, 3) float32 W/m2, and how many photons brought it."""
+
+    irradiance: np.ndarray
+    photons: int
+
+
+def _is_sharp(view: LightView) -> np.ndarray:
+    """(H, W) bool: texels whose lobe is left to photons."""
+    g = view.gbuffer
+    return (g.roughness**2 < SHARPEST) & (g.specular.max(-1) > 0)
+
+
+def has_mirrors(frame: Frame) -> bool:
+    """Whether photons bring a part of the bounce that is worth them."""
+    sharp = total = 0.0
+    for view in frame.views:
+        light, g = frame.lights[view.light_index], view.gbuffer
+        glossy = light.glossy_factor * (view.incident_flux * g.specular).sum(-1)
+        sharp += float(glossy[_is_sharp(view)].sum(dtype=np.float64))
+        total += float((glossy + light.diffuse_factor * (view.incident_flux * g.albedo).sum(-1)).sum(dtype=np.float64))
+    return sharp > LEAST_SHARE * total
+
+
+def _owners(is_sharp: np.ndarray) -> np.ndarray:
+    """(H, W) int32 of `kernels.photons.Mirrors`: a texel's own flat index, beside an edge that of a sharp neighbour.
+
+    A texel is sharp or not by its middle. Photons start all over it, so the texels around an edge have to start some too.
+    """
+    height, width = is_sharp.shape
+    padded = np.full((height + 2, width + 2), -1, np.int32)
+    padded[1:-1, 1:-1] = np.where(is_sharp, np.arange(is_sharp.size, dtype=np.int32).reshape(is_sharp.shape), -1)
+    owner = padded[1:-1, 1:-1].copy()
+    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+        beside = padded[1 + down:height + 1 + down, 1 + right:width + 1 + right]
+        np.copyto(owner, beside, where=owner < 0)
+    return owner
+
+
+def _corner_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and directions (H + 1, W + 1, 3) float32 of the rays through the corners of a view's texels."""
+    half_x, half_y = (0.5 * step for step in camera.pixel_size)
+    corners = dataclasses.replace(
+        camera, width_px=camera.width_px + 1, height_px=camera.height_px + 1, left=camera.left - half_x,
+        right=camera.right + half_x, bottom=camera.bottom - half_y, top=camera.top + half_y)
+    origin, direction = corners.rays_vs()
+    rotation = camera.world_from_view[:3, :3]
+    return ((origin @ rotation.T + camera.position_ws).astype(np.float32), (direction @ rotation.T).astype(np.float32))
+
+
+def _mirrors_of(frame: Frame, view: LightView, flux: np.ndarray) -> Mirrors:
+    g = view.gbuffer
+    return Mirrors(g.position_ws, g.normal_ws, g.specular, g.roughness, g.f0, flux.astype(np.float32),
+                   _owners(_is_sharp(view)), *_corner_rays(view.camera), albedo_table(frame.keeps_energy))
+
+
+def _sent(mirrors: Mirrors) -> np.ndarray:
+    """(H, W) W: mean over the colours of what each texel sends into a sharp lobe, if its owner's surface fills it."""
+    specular = mirrors.specular.reshape(-1, 3)[np.maximum(mirrors.owner, 0)]
+    return np.where(mirrors.owner >= 0, (mirrors.flux * specular).mean(-1), 0)
+
+
+def caustics_of(frame: Frame, flux_of: Callable[[LightView, Light], np.ndarray], number: int, bvh: Bvh, context: Context,
+                seed: int) -> Caustics:
+    """Irradiance of the camera's pixels by about `number` photons off the mirror-like texels of all views.
+
+    Every photon has about the same flux. `flux_of(view, light)` is what arrives at the texels, (H, W, 3) W.
+    """
+    reach_m = reach_out_m(frame, bvh)
+    lights = [frame.lights[view.light_index] for view in frame.views]
+    mirrors = [_mirrors_of(frame, view, light.glossy_factor * flux_of(view, light))
+               for view, light in zip(frame.views, lights, strict=True)]
+    sent = [_sent(m) for m in mirrors]
+    per_flux = number / max(sum(float(s.sum(dtype=np.float64)) for s in sent), 1e-300)
+    found: list[Photons] = []
+    for index, (light, m, mine) in enumerate(zip(lights, mirrors, sent, strict=True)):
+        expected, count = (mine * per_flux).astype(np.float32), np.zeros(mine.shape, np.int32)
+        count_photons(len(count), expected, seed + index, count)
+        texel = np.repeat(np.arange(count.size), count.ravel())
+        ordinal = np.arange(len(texel)) - np.repeat(np.cumsum(count) - count.ravel(), count.ravel())
+        lamp = pack_lamp(light, reach_m)
+        for first in range(0, len(texel), TILE_PHOTONS):
+            context.checkpoint("Follow light off mirrors", 0.0)
+            here = texel[first:first + TILE_PHOTONS], ordinal[first:first + TILE_PHOTONS]
+            photons, landed = make_photons(len(here[0])), np.zeros(len(here[0]), bool)
+            shoot_photons(len(landed), *here, expected, m, lamp, bvh, f32(frame.ray_offset_m), f32(reach_m), seed + index,
+                          photons, landed)
+            found.append(Photons(*(a[landed] for a in photons)))
+    out = np.zeros_like(frame.gbuffer.albedo)
+    photons = Photons(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+    if len(photons.flux):
+        spread_photons(photons, MOST_RADIUS * frame.scale_m, frame.ray_offset_m)
+        context.checkpoint("Add caustics", 0.0)
+        add_photons(photons, screen_of(frame), out)
+    return Caustics(out, len(photons.flux))
