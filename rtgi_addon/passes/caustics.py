@@ -18,7 +18,16 @@ from ..core.transforms import Camera
 from ..kernels.brdf import albedo_table
 from ..kernels.bvh import Bvh
 from ..kernels.clusters import MIN_ALPHA
-from ..kernels.photons import Mirrors, Photons, add_photons, count_photons, make_photons, shoot_photons, spread_photons
+from ..kernels.photons import (
+    Mirrors,
+    Photons,
+    add_photons,
+    count_photons,
+    find_materials,
+    make_photons,
+    shoot_photons,
+    spread_photons,
+)
 from ..kernels.vec3 import f32
 from .base import Context
 from .direct import pack_lamp
@@ -28,6 +37,7 @@ from .surroundings import reach_out_m
 SHARPEST = float(MIN_ALPHA)     # alpha below which a texel's lobe is left to photons
 LEAST_SHARE = 2e-3          # of the light that all texels send on: less in mirrors is not worth the photons
 MOST_RADIUS = 0.05          # of the scene's size: of a lone photon's disk
+LEAST_REACH = 4.0           # ray offsets by which a view's point may lie off its triangle
 TILE_PHOTONS = 1 << 16      # between two looks at Esc
 
 
@@ -81,10 +91,14 @@ def _corner_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return ((origin @ rotation.T + camera.position_ws).astype(np.float32), (direction @ rotation.T).astype(np.float32))
 
 
-def _mirrors_of(frame: Frame, view: LightView, flux: np.ndarray) -> Mirrors:
-    g = view.gbuffer
-    return Mirrors(g.position_ws, g.normal_ws, g.specular, g.roughness, g.f0, flux.astype(np.float32),
-                   _owners(_is_sharp(view)), *_corner_rays(view.camera), albedo_table(frame.keeps_energy))
+def _mirrors_of(frame: Frame, view: LightView, flux: np.ndarray, bvh: Bvh) -> Mirrors:
+    g, is_sharp = view.gbuffer, _is_sharp(view)
+    mirrors = Mirrors(g.position_ws, g.normal_ws, g.specular, g.roughness, g.f0, flux.astype(np.float32), _owners(is_sharp),
+                      *_corner_rays(view.camera), np.full(g.shape, -1, np.int32), frame.geometry.material,
+                      albedo_table(frame.keeps_energy))
+    texel = np.flatnonzero(is_sharp)
+    find_materials(len(texel), texel, mirrors, bvh, f32(LEAST_REACH * frame.ray_offset_m))
+    return mirrors
 
 
 def _sent(mirrors: Mirrors) -> np.ndarray:
@@ -101,7 +115,7 @@ def caustics_of(frame: Frame, flux_of: Callable[[LightView, Light], np.ndarray],
     """
     reach_m = reach_out_m(frame, bvh)
     lights = [frame.lights[view.light_index] for view in frame.views]
-    mirrors = [_mirrors_of(frame, view, light.glossy_factor * flux_of(view, light))
+    mirrors = [_mirrors_of(frame, view, light.glossy_factor * flux_of(view, light), bvh)
                for view, light in zip(frame.views, lights, strict=True)]
     sent = [_sent(m) for m in mirrors]
     per_flux = number / max(sum(float(s.sum(dtype=np.float64)) for s in sent), 1e-300)
@@ -116,8 +130,8 @@ def caustics_of(frame: Frame, flux_of: Callable[[LightView, Light], np.ndarray],
             context.checkpoint("Follow light off mirrors", 0.0)
             here = texel[first:first + TILE_PHOTONS], ordinal[first:first + TILE_PHOTONS]
             photons, landed = make_photons(len(here[0])), np.zeros(len(here[0]), bool)
-            shoot_photons(len(landed), *here, expected, m, lamp, bvh, f32(frame.ray_offset_m), f32(reach_m), seed + index,
-                          photons, landed)
+            shoot_photons(len(landed), *here, expected, m, lamp, bvh, f32(frame.ray_offset_m),
+                          f32(LEAST_REACH * frame.ray_offset_m), f32(reach_m), seed + index, photons, landed)
             found.append(Photons(*(a[landed] for a in photons)))
     out = np.zeros_like(frame.gbuffer.albedo)
     photons = Photons(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
