@@ -27,7 +27,7 @@ from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, length, lifted, 
 
 NEIGHBOURS = 100            # photons in a disk: 50 leave half as much noise again in weak caustics, 200 blur edges
 COUNTED = 8                 # of them that are looked for: their distance tells the density well enough
-BAND_ROWS = 8               # of the picture, which one thread sums at a time
+TILE = 8                    # rows of the picture in a band, which one thread sums at a time, and pixels in its tiles
 SAME_SIDE = f32(0.5)        # cosine of two normals of one surface
 FLAT = f32(0.5)             # height over a photon's plane, in radii of its disk, at which a pixel is another surface
 SMOOTH = f32(0.9)           # cosine of the normals of two texels between which a surface is bent, not broken
@@ -281,6 +281,7 @@ def _boxes_over(order, photons, leaves):
 
 @inline_jit
 def _box_distance2(boxes, q, p):
+    """Squared distance of p from box q of (N, 6)."""
     x = max(max(boxes[q, 0] - p.x, p.x - boxes[q, 3]), ZERO)
     y = max(max(boxes[q, 1] - p.y, p.y - boxes[q, 4]), ZERO)
     z = max(max(boxes[q, 2] - p.z, p.z - boxes[q, 5]), ZERO)
@@ -375,7 +376,7 @@ def _list_by_band(boxes, first, listed):
     """Photons of each band of rows, `listed[first[b]:first[b + 1]]`; with an empty list it only counts."""
     cursor = first[:-1].copy()
     for k in range(len(boxes)):
-        for band in range(boxes[k, 0] // BAND_ROWS, boxes[k, 1] // BAND_ROWS + 1 if boxes[k, 1] >= 0 else 0):
+        for band in range(boxes[k, 0] // TILE, boxes[k, 1] // TILE + 1 if boxes[k, 1] >= 0 else 0):
             if len(listed):
                 listed[cursor[band]] = k
             else:
@@ -384,31 +385,50 @@ def _list_by_band(boxes, first, listed):
 
 
 @pixel_jit
-def _sum_bands(begin, end, first, listed, boxes, photons, screen, out):
+def _bound_tiles(begin, end, screen, bounds):
+    """Lowest and highest corner (bands, tiles, 6) of what the pixels of each tile see."""
+    screen, = borrowed((screen,))
+    height, width = screen.depth.shape
+    for band in range(begin, end):
+        for tile in range(bounds.shape[1]):
+            bounds[band, tile, :3], bounds[band, tile, 3:] = f32(3e38), f32(-3e38)
+        for i in range(band * TILE, min((band + 1) * TILE, height)):
+            for j in range(width):
+                if screen.depth[i, j] < f32(3e38):
+                    for a in range(3):
+                        x, tile = screen.position_ws[i, j, a], j // TILE
+                        bounds[band, tile, a] = min(bounds[band, tile, a], x)
+                        bounds[band, tile, 3 + a] = max(bounds[band, tile, 3 + a], x)
+
+
+@pixel_jit
+def _sum_bands(begin, end, first, listed, boxes, bounds, photons, screen, out):
     """Add the photons of bands of rows to the irradiance `out` (H, W, 3)."""
     photons, screen = borrowed((photons, screen))
     for band in range(begin, end):
-        last_row = min((band + 1) * BAND_ROWS, out.shape[0]) - 1
+        last_row = min((band + 1) * TILE, out.shape[0]) - 1
         for at in range(first[band], first[band + 1]):
             k = listed[at]
             p, n, heading = load(photons.position, k), load(photons.normal, k), load(photons.heading, k)
             rcp2 = ONE / photons.radius2[k]
             facing = max(-dot(n, heading), LEAST_COSINE)
             peak = f32(2 / math.pi) * rcp2 / facing
-            for i in range(max(boxes[k, 0], band * BAND_ROWS), min(boxes[k, 1], last_row) + 1):
-                for j in range(boxes[k, 2], boxes[k, 3] + 1):
-                    d = sub(load_pixel(screen.position_ws, i, j), p)
-                    d2 = dot(d, d) * rcp2
-                    height = dot(d, n)
-                    if not d2 < ONE or height * height * rcp2 > FLAT * FLAT or not screen.depth[i, j] < f32(3e38):
-                        continue
-                    shading = load_pixel(screen.normal_ws, i, j)
-                    towards = -dot(shading, heading)
-                    if towards <= ZERO or dot(shading, n) < SAME_SIDE:
-                        continue
-                    weight = peak * (ONE - d2) * min(towards, MOST_TILT * facing)
-                    for c in range(3):
-                        out[i, j, c] += weight * photons.flux[k, c]
+            for tile in range(boxes[k, 2] // TILE, boxes[k, 3] // TILE + 1):
+                if _box_distance2(bounds[band], tile, p) >= photons.radius2[k]:
+                    continue                     # most disks in a box of the picture lie before or behind what is seen
+                for i in range(max(boxes[k, 0], band * TILE), min(boxes[k, 1], last_row) + 1):
+                    for j in range(max(boxes[k, 2], tile * TILE), min(boxes[k, 3], (tile + 1) * TILE - 1) + 1):
+                        d = sub(load_pixel(screen.position_ws, i, j), p)
+                        d2, height = dot(d, d) * rcp2, dot(d, n)
+                        if not d2 < ONE or height * height * rcp2 > FLAT * FLAT or not screen.depth[i, j] < f32(3e38):
+                            continue
+                        shading = load_pixel(screen.normal_ws, i, j)
+                        towards = -dot(shading, heading)
+                        if towards <= ZERO or dot(shading, n) < SAME_SIDE:
+                            continue
+                        weight = peak * (ONE - d2) * min(towards, MOST_TILT * facing)
+                        for c in range(3):
+                            out[i, j, c] += weight * photons.flux[k, c]
 
 
 def add_photons(photons: Photons, screen, out: np.ndarray) -> None:
@@ -416,11 +436,13 @@ def add_photons(photons: Photons, screen, out: np.ndarray) -> None:
 
     The same bits on any number of threads: each band of rows sums its photons in their order.
     """
-    bands = -(-out.shape[0] // BAND_ROWS)
+    bands = -(-out.shape[0] // TILE)
     boxes, first = np.empty((len(photons.flux), 4), np.int32), np.zeros(bands + 1, np.int64)
     _box_photons(len(boxes), photons, screen, boxes)
     _list_by_band(boxes, first, np.empty(0, np.int32))
     np.cumsum(first, out=first)
     listed = np.empty(first[-1], np.int32)
     _list_by_band(boxes, first, listed)
-    _sum_bands(bands, first, listed, boxes, photons, screen, out)
+    bounds = np.empty((bands, -(-out.shape[1] // TILE), 6), np.float32)
+    _bound_tiles(bands, screen, bounds)
+    _sum_bands(bands, first, listed, boxes, bounds, photons, screen, out)
