@@ -255,6 +255,11 @@ class RTGI_PT_last_render(_RenderPanel, bpy.types.Panel):
     bl_label = "Last Render"
     bl_options = {"DEFAULT_CLOSED"}
 
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
+        """Its time, and a sign if there are warnings: the panel is closed at first."""
+        if (report := last_report()) is not None:
+            self.layout.label(text=f"{report['total_ms'] / 1000:.2f} s", icon="ERROR" if report["warnings"] else "NONE")
+
     def draw(self, context: bpy.types.Context) -> None:
         layout, report = self.layout, last_report()
         if report is None:
