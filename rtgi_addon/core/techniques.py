@@ -114,8 +114,8 @@ class VxgiParams(Params):
     glossy: bool = param(
         False, "Glossy pixels take a cone around their mirror direction; reflections are as coarse as the voxels")
     pictures: bool = param(
-        False, "Also draw the voxels as the camera sees them, for a look at what the technique sees: views of Last Render, and "
-               "layers of --passes")
+        False, "Also draw the voxels as the camera sees them, for a look at what the technique sees: views of Last Render, "
+               "and layers of --passes")
 
 
 @dataclass(frozen=True)
