@@ -22,7 +22,7 @@ _HIDDEN_PREFIXES = (
     "CYCLES_RENDER_PT_bake", "CYCLES_RENDER_PT_sampling", "CYCLES_RENDER_PT_light_paths", "CYCLES_RENDER_PT_performance_",
     "CYCLES_RENDER_PT_subdivision", "CYCLES_RENDER_PT_volumes", "CYCLES_RENDER_PT_motion_blur", "CYCLES_RENDER_PT_curves",
     "CYCLES_RENDER_PT_passes_light",             # ours has those that RTGI fills; this also hides the light groups
-    "CYCLES_OBJECT_PT_lightgroup", "CYCLES_WORLD_PT_settings_light_group",
+    "CYCLES_OBJECT_PT_lightgroup", "CYCLES_WORLD_PT_settings", "CYCLES_MATERIAL_PT_settings_volume",
     "CYCLES_RENDER_PT_film_pixel_filter", "CYCLES_RENDER_PT_debug", "CYCLES_VIEW3D_PT_", "CYCLES_PT_sampling",
     "CYCLES_OBJECT_PT_motion_blur", "CYCLES_OBJECT_PT_shading_caustics", "CYCLES_OBJECT_PT_shading_gi_approximation",
     "CYCLES_CAMERA_PT_dof", "CYCLES_WORLD_PT_mist", "CYCLES_WORLD_PT_volume", "CYCLES_MATERIAL_PT_volume",

@@ -256,7 +256,8 @@ def test_panels_that_mean_the_same_for_rtgi_are_there(bpy_session, empty_scene, 
 
 @pytest.mark.parametrize("panel", [
     "CYCLES_RENDER_PT_film", "CYCLES_RENDER_PT_sampling", "CYCLES_RENDER_PT_light_paths", "CYCLES_CAMERA_PT_dof",
-    "CYCLES_WORLD_PT_volume", "CYCLES_MATERIAL_PT_volume", "CYCLES_OBJECT_PT_motion_blur"])
+    "CYCLES_WORLD_PT_volume", "CYCLES_WORLD_PT_settings", "CYCLES_MATERIAL_PT_volume", "CYCLES_MATERIAL_PT_settings_volume",
+    "CYCLES_OBJECT_PT_motion_blur"])
 def test_panels_that_mean_nothing_to_rtgi_or_would_be_there_twice_are_not(bpy_session, empty_scene, panel):
     assert not is_shown(bpy_session, panel)
 
