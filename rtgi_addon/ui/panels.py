@@ -32,6 +32,7 @@ _HIDDEN_PREFIXES = (
 # ours. They follow as panels of ours that draw what Cycles' draw; a parent before its children
 _FOLLOWING = ("simplify", "simplify_viewport", "simplify_render", "simplify_culling", "film", "film_transparency",
               "performance", "performance_threads", "performance_final_render")
+_PASSES = "CYCLES_RENDER_PT_passes"
 
 
 def shared_panels() -> Iterator[type]:
@@ -44,8 +45,11 @@ def shared_panels() -> Iterator[type]:
             yield panel
 
 
-def following_panels() -> Iterator[type]:
-    """Cycles' panels of the Render tab once more, to be registered after ours."""
+def classes() -> Iterator[type]:
+    """All that is to be registered, in this order: ours, and Cycles' panels of the Render tab once more."""
+    # without its parent a panel cannot be registered, and Cycles may be off, or come later in the list of add-ons
+    RTGI_PT_light_passes.bl_parent_id = _PASSES if hasattr(bpy.types, _PASSES) else ""
+    yield from CLASSES
     for name in _FOLLOWING:
         panel = getattr(bpy.types, f"CYCLES_RENDER_PT_{name}", None)
         if panel is not None:
@@ -346,7 +350,7 @@ class RTGI_PT_light_passes(_RenderPanel, bpy.types.Panel):
 
     bl_label = "Light"
     bl_context = "view_layer"
-    bl_parent_id = "CYCLES_RENDER_PT_passes"
+    bl_parent_id = _PASSES
 
     def draw(self, context: bpy.types.Context) -> None:
         from ..engine import OUTPUT_PASSES

@@ -316,3 +316,25 @@ def test_registering_twice_is_clean_and_loads_no_numba(request):
     done = subprocess.run([sys.executable, "-c", SCRIPT_TWICE], capture_output=True, text=True, timeout=120, check=False,
                           cwd=request.config.rootpath)
     assert "clean" in done.stdout, done.stderr
+
+
+SCRIPT_WITHOUT_CYCLES = """
+import os, sys, bpy, addon_utils
+addon_utils.disable("cycles")
+import rtgi_addon
+rtgi_addon.register()
+assert hasattr(bpy.context.scene, "rtgi") and hasattr(bpy.types, "RTGI_PT_light_passes")
+rtgi_addon.unregister()
+addon_utils.enable("cycles")
+rtgi_addon.register()
+assert bpy.types.RTGI_PT_light_passes.bl_parent_id == "CYCLES_RENDER_PT_passes"
+print("clean")
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def test_add_on_can_be_switched_on_before_cycles(request):
+    done = subprocess.run([sys.executable, "-c", SCRIPT_WITHOUT_CYCLES], capture_output=True, text=True, timeout=120,
+                          check=False, cwd=request.config.rootpath)
+    assert "clean" in done.stdout, done.stderr
