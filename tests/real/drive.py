@@ -23,7 +23,7 @@ import bpy
 ROOT = Path(__file__).resolve().parent.parent.parent
 EXTENSION = "bl_ext.user_default.rtgi"
 TICK_S = 0.05
-RENDER_LIMIT_S, COMPARE_LIMIT_S = 300.0, 600.0
+RENDER_LIMIT_S, COMPARE_LIMIT_S = 300.0, 900.0
 
 
 class Clock:
