@@ -12,6 +12,7 @@ numpy is never among the wheels: Blender brings its own, which another one would
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import shlex
 import shutil
@@ -19,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+import zipfile
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -31,6 +33,9 @@ PLATFORMS = {
     "windows-x64": ("win_amd64",),
     "macos-arm64": ("macosx_11_0_arm64", "macosx_12_0_arm64"),
 }
+# the endings of libraries in wheels, and their first bytes: ELF and PE name the processor further in, Mach-O right there
+_LIBRARIES = {"linux-x64": ((".so",), b"\x7fELF"), "windows-x64": ((".pyd", ".dll"), b"MZ"),
+              "macos-arm64": ((".so", ".dylib"), b"\xcf\xfa\xed\xfe\x0c\x00\x00\x01")}
 _ENDINGS = {"linux-x64": ("x86_64",), "windows-x64": ("win_amd64",), "macos-arm64": ("arm64",)}
 
 
@@ -92,6 +97,35 @@ def chosen_wheels(folder: Path) -> list[Path]:
     return [wheel for wheel in found if wheel.name.partition("-")[0] in {p.partition("==")[0] for p in PACKAGES}]
 
 
+def check_zip(path: Path) -> None:
+    """ReleaseError unless a platform's zip can be right where it was not tried.
+
+    It lists and holds each of `PACKAGES` for each of `PYTHONS` once, for its platform and for none else, with libraries of
+    that system in them and without numpy.
+    """
+    with zipfile.ZipFile(path) as archive:
+        wheels = sorted(name for name in archive.namelist() if name.endswith(".whl"))
+        build = tomllib.loads(archive.read("blender_manifest.toml").decode())["build"]["generated"]
+        (platform,) = build["platforms"]
+        if sorted(build["wheels"]) != [f"./{name}" for name in wheels]:
+            raise ReleaseError(f"{path.name} lists other wheels than it holds")
+        found = sorted((name.split("/")[-1].split("-")[0], name.split("-")[2], platform_of(Path(name))) for name in wheels)
+        wanted = sorted((package.partition("==")[0], f"cp{python.replace('.', '')}", platform)
+                        for package in PACKAGES for python in PYTHONS)
+        if found != wanted:
+            raise ReleaseError(f"{path.name} holds the wheels {found}, not {wanted}")
+        endings, magic = _LIBRARIES[platform]
+        for name in wheels:
+            with zipfile.ZipFile(io.BytesIO(archive.read(name))) as wheel:
+                libraries = [inner for inner in wheel.namelist() if inner.endswith((".so", ".pyd", ".dll", ".dylib"))]
+                strangers = [inner for inner in libraries
+                             if not inner.endswith(endings) or not wheel.open(inner).read(len(magic)).startswith(magic)]
+                if strangers or not libraries:
+                    raise ReleaseError(f"{name} has no libraries for {platform}, or others: {', '.join(strangers)}")
+                if any(inner.startswith("numpy/") for inner in wheel.namelist()):
+                    raise ReleaseError(f"{name} brings numpy along")
+
+
 def released_manifest(text: str, wheels: list[Path]) -> str:
     """The manifest with platforms and wheels, which must stand before its first table; a bare build leaves wheels out."""
     head, mark, tables = text.replace('  "/wheels/",\n', "").partition("\n[")
@@ -132,6 +166,8 @@ def build(output: Path, wheels_folder: Path | None) -> list[Path]:
     zips = sorted(path for path in output.glob("*.zip") if before.get(path) != path.stat().st_mtime_ns)
     for path in zips:
         run([*tool, "validate", str(path)])
+        if wheels:
+            check_zip(path)
     return zips
 
 

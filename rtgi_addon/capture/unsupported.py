@@ -20,6 +20,8 @@ def _object_lines(source: bpy.types.Object) -> Iterator[str]:
     for system in source.particle_systems:
         if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
             yield f"{name}: the hair of particle system {system.name!r} takes no part in shadows and bounces"
+    if source.is_shadow_catcher and source.type != "LIGHT":      # lamps may catch shadows by default
+        yield f"{name}: it catches no shadows; it is drawn as any other surface"
     linking = source.light_linking
     if linking.receiver_collection is not None or linking.blocker_collection is not None:
         yield f"{name}: light linking is ignored; it acts on everything"

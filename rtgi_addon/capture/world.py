@@ -65,6 +65,9 @@ def read_world_constant(depsgraph: bpy.types.Depsgraph) -> WorldReading:
         return WorldReading("black")
     inputs = {socket.identifier: socket for socket in output.inputs}
     name, warnings = world.name_full, []
+    hidden = [kind for kind in ("diffuse", "glossy") if not getattr(world.cycles_visibility, kind)]
+    if hidden:
+        warnings.append(f"world {name!r}: its ray visibility is ignored; {' and '.join(hidden)} rays see it")
     if inputs["Volume"].is_linked:
         warnings.append(f"world {name!r}: its volume is left out")
     values = NodeReader(ImageCache())

@@ -59,10 +59,10 @@ class RsmParams(Params):
 
     method: str = param(
         "VISIBLE", "How the lit texels are gathered",
-        choices=(("VISIBLE", "Visibility rays",
+        choices=(("VISIBLE", "Visibility Rays",
                   "Lit texels in clusters, rays through the scene's triangles decide what is seen: no light through walls"),
-                 ("ALL", "All texels", "Every lit texel, or an even share of them; what stands between is not noticed"),
-                 ("PAPER", "As published",
+                 ("ALL", "All Texels", "Every lit texel, or an even share of them; what stands between is not noticed"),
+                 ("PAPER", "As Published",
                   "Samples on a disk around the pixel's place in the map (Dachsbacher and Stamminger 2005), no visibility")))
     samples: int = param(
         400, "Texels summed at each pixel by the methods without visibility", low=1, high=16384, soft_high=4096,
@@ -73,7 +73,7 @@ class RsmParams(Params):
     weighting: str = param(
         "UNBIASED", "Weight of a sample at distance r from the centre of the disk",
         choices=(("UNBIASED", "Unbiased", "Weight by the density of the samples, which is proportional to r"),
-                 ("PUBLISHED", "As published", "Weight r squared, as printed in the paper: energy is not kept")),
+                 ("PUBLISHED", "As Published", "Weight r squared, as printed in the paper: energy is not kept")),
         only={"method": "PAPER"})
     lattice_px: int = param(
         4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
@@ -117,7 +117,8 @@ class VxgiParams(Params):
     glossy: bool = param(
         False, "Glossy pixels take a cone around their mirror direction; reflections are as coarse as the voxels")
     pictures: bool = param(
-        False, "Also draw the voxels as the camera sees them, for a look at what the technique sees; layers of --passes")
+        False, "Also draw the voxels as the camera sees them, for a look at what the technique sees: views of Last Render, "
+               "and layers of --passes")
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ class LpvParams(Params):
                  ("HARMONICS", "Harmonics",
                   "Intensity in spherical harmonics, stepped from neighbour to neighbour until little is left in motion: "
                   "light spreads like heat"),
-                 ("PAPER", "As published",
+                 ("PAPER", "As Published",
                   "Clamped steps, fuzzy blockers and damping (Kaplanyan and Dachsbacher 2010): too bright near, too dark "
                   "far, through thin walls")))
     resolution: int = param(
@@ -188,13 +189,13 @@ class SsrParams(Params):
                   "Rays through the scene's triangles; the picture tells the light of hits that it shows. Exact, and with "
                   "Blender's ray tracer the fastest"),
                  ("HIERARCHY", "Hierarchy", "Every pixel that the ray crosses, skipping empty parts by a pyramid of depths"),
-                 ("DDA", "Every pixel", "Every pixel that the ray crosses; the same hits as the hierarchy, in more steps"),
-                 ("LINEAR", "Even steps", "Steps of a fixed length, as first published: thin things fall between two")))
+                 ("DDA", "Every Pixel", "Every pixel that the ray crosses; the same hits as the hierarchy, in more steps"),
+                 ("LINEAR", "Even Steps", "Steps of a fixed length, as first published: thin things fall between two")))
     fallback: str = param(
         "RAYS", "What answers where the picture cannot: off the frame, and behind what the camera sees",
         choices=(("RAYS", "Rays", "Rays through the scene's triangles, their hits lit by the lamps"),
                  ("WORLD", "World", "The world alone; black where it is black"),
-                 ("CONES", "Voxel cones", "The glossy light of the voxel cones, where that technique runs; else rays")))
+                 ("CONES", "Voxel Cones", "The glossy light of the voxel cones, where that technique runs; else rays")))
     samples: int = param(
         8, "Rays for each block of 4x4 pixels, at least one for each smooth pixel; noise falls with the square root",
         low=1, high=4096, soft_high=256)
@@ -217,9 +218,9 @@ class HbaoParams(Params):
 
     method: str = param(
         "COSINE", "What is measured",
-        choices=(("COSINE", "Cosine-correct",
+        choices=(("COSINE", "Cosine-Correct",
                   "Sectors around the viewer's direction, with thickness: ray-traced visibility where the screen shows all"),
-                 ("PUBLISHED", "As published",
+                 ("PUBLISHED", "As Published",
                   "Horizons with tangent bias and falloff (Bavoil et al. 2008): even in angle, nothing passes behind")))
     radius_m: float = param(
         0.0, "Distance up to which things hide the sky; 0 takes 20 % of the scene's size",
@@ -261,7 +262,7 @@ class SsaoParams(Params):
     method: str = param(
         "HEMISPHERE", "Where the points lie",
         choices=(("HEMISPHERE", "Hemisphere", "On the normal's side; what lies far before a point does not hide it"),
-                 ("SPHERE", "As published",
+                 ("SPHERE", "As Published",
                   "All around, without normals (Mittring 2007): no occlusion if more than half is seen; false shadows")))
     radius_m: float = param(
         0.0, "Radius of the ball of points; 0 takes 20 % of the scene's size", low=0.0, high=1e6, soft_high=100.0, unit="m")
@@ -286,7 +287,7 @@ class SsdoParams(Params):
         "SECTORS", "How the surroundings of a pixel are looked at",
         choices=(("SECTORS", "Sectors",
                   "Slices around the viewer's direction, 64 sectors each: cosine and solid angle exact"),
-                 ("SAMPLES", "As published",
+                 ("SAMPLES", "As Published",
                   "Random points in the hemisphere (Ritschel, Grosch and Seidel 2009): rough, and wrong close to a corner")))
     radius_m: float = param(
         0.0, "How far surfaces shadow and light each other; 0 takes 20 % of the scene's size", low=0.0, high=1e6,

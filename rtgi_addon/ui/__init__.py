@@ -32,7 +32,7 @@ def register() -> None:
         undo.callback(cache_root.set_cache_root, None)
         undo.callback(tasks.stop)
         for cls in (*props.CLASSES, *session.CLASSES, *tasks.CLASSES, *preferences.CLASSES, *presets.CLASSES,
-                    *views.CLASSES, *panels.CLASSES):
+                    *views.CLASSES, *panels.classes()):
             bpy.utils.register_class(cls)
             undo.callback(bpy.utils.unregister_class, cls)
         bpy.types.Scene.rtgi = bpy.props.PointerProperty(type=props.SCENE_GROUP, name="RTGI")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import bpy
@@ -22,13 +22,17 @@ _HIDDEN_PREFIXES = (
     "CYCLES_RENDER_PT_bake", "CYCLES_RENDER_PT_sampling", "CYCLES_RENDER_PT_light_paths", "CYCLES_RENDER_PT_performance_",
     "CYCLES_RENDER_PT_subdivision", "CYCLES_RENDER_PT_volumes", "CYCLES_RENDER_PT_motion_blur", "CYCLES_RENDER_PT_curves",
     "CYCLES_RENDER_PT_passes_light",             # ours has those that RTGI fills; this also hides the light groups
-    "CYCLES_OBJECT_PT_lightgroup", "CYCLES_WORLD_PT_settings_light_group",
+    "CYCLES_OBJECT_PT_lightgroup", "CYCLES_WORLD_PT_settings", "CYCLES_MATERIAL_PT_settings_volume",
     "CYCLES_RENDER_PT_film_pixel_filter", "CYCLES_RENDER_PT_debug", "CYCLES_VIEW3D_PT_", "CYCLES_PT_sampling",
     "CYCLES_OBJECT_PT_motion_blur", "CYCLES_OBJECT_PT_shading_caustics", "CYCLES_OBJECT_PT_shading_gi_approximation",
     "CYCLES_CAMERA_PT_dof", "CYCLES_WORLD_PT_mist", "CYCLES_WORLD_PT_volume", "CYCLES_MATERIAL_PT_volume",
     "CYCLES_MATERIAL_PT_preview", "CYCLES_LIGHT_PT_preview", "CYCLES_WORLD_PT_preview", "CyclesPresetPanel",
 )
-_KEPT = ("CYCLES_RENDER_PT_performance_threads", "CYCLES_RENDER_PT_performance_final_render")
+# Blender shows panels in the order of registration, and `bl_order` goes no lower than Cycles' own 0: these would stand above
+# ours. They follow as panels of ours that draw what Cycles' draw; a parent before its children
+_FOLLOWING = ("simplify", "simplify_viewport", "simplify_render", "simplify_culling", "film", "film_transparency",
+              "performance", "performance_threads", "performance_final_render")
+_PASSES = "CYCLES_RENDER_PT_passes"
 
 
 def shared_panels() -> Iterator[type]:
@@ -37,8 +41,47 @@ def shared_panels() -> Iterator[type]:
         name = panel.__name__
         if "CYCLES" not in getattr(panel, "COMPAT_ENGINES", ()):
             continue
-        if name in _KEPT or not name.startswith(_HIDDEN_PREFIXES):
+        if name.removeprefix("CYCLES_RENDER_PT_") not in _FOLLOWING and not name.startswith(_HIDDEN_PREFIXES):
             yield panel
+
+
+def classes() -> Iterator[type]:
+    """All that is to be registered, in this order: ours, and Cycles' panels of the Render tab once more."""
+    # without its parent a panel cannot be registered, and Cycles may be off, or come later in the list of add-ons
+    RTGI_PT_light_passes.bl_parent_id = _PASSES if hasattr(bpy.types, _PASSES) else ""
+    yield from CLASSES
+    for name in _FOLLOWING:
+        panel = getattr(bpy.types, f"CYCLES_RENDER_PT_{name}", None)
+        if panel is not None:
+            # no subclass: Blender warns at each redraw about classes that derive from registered ones
+            words = {part: value for part, value in vars(panel).items()
+                     if part in ("bl_label", "bl_options", "draw_header", "draw_header_preset", "__doc__")}
+            words |= {"__module__": __name__, "COMPAT_ENGINES": {ENGINE}, "draw": _drawn_by(panel)}
+            if hasattr(panel, "bl_parent_id"):
+                words["bl_parent_id"] = panel.bl_parent_id.replace("CYCLES_RENDER_", "RTGI_")
+            yield type(f"RTGI_PT_{name}", panel.__bases__, words)
+
+
+def _drawn_by(panel: type) -> Callable[[Any, bpy.types.Context], None]:
+    """What draws `panel` when it is drawn: other add-ons may have added to it by then."""
+    return lambda self, context: panel.draw(self, context)
+
+
+def _polled_like_cycles(panel: type, base: type) -> classmethod:
+    """`poll` of a panel of Cycles that lets RTGI pass where it asks its base class, and not itself, for the engines."""
+    asked = panel.poll.__func__
+
+    def poll(cls: type, context: bpy.types.Context) -> bool:
+        if context.engine != ENGINE:
+            return asked(cls, context)
+        # for the time of the call: Cycles' hidden panels ask the same class
+        base.COMPAT_ENGINES.add(ENGINE)
+        try:
+            return asked(cls, context)
+        finally:
+            base.COMPAT_ENGINES.discard(ENGINE)
+
+    return classmethod(poll)
 
 
 @contextlib.contextmanager
@@ -47,18 +90,25 @@ def shown_with_rtgi() -> Iterator[None]:
 
     Each panel gets a set of its own: many of Cycles' panels share one, which would let the hidden ones in.
     """
-    own_before = {panel: panel.__dict__.get("COMPAT_ENGINES") for panel in shared_panels()}
-    sets = {panel: {*panel.COMPAT_ENGINES, ENGINE} for panel in own_before}
-    for panel, engines in sets.items():
-        panel.COMPAT_ENGINES = engines
+    before, changes = {}, {}
+    for panel in shared_panels():
+        changes[panel] = {"COMPAT_ENGINES": {*panel.COMPAT_ENGINES, ENGINE}}
+        base = next((kind for kind in panel.__mro__ if kind.__name__ == "CyclesButtonsPanel"), None)
+        if base is not None and panel.poll.__func__ is not base.poll.__func__:
+            changes[panel]["poll"] = _polled_like_cycles(panel, base)
+        before[panel] = {name: vars(panel).get(name) for name in changes[panel]}
+    for panel, words in changes.items():
+        for name, value in words.items():
+            setattr(panel, name, value)
     try:
         yield
     finally:
-        for panel, engines in own_before.items():
-            if engines is None:
-                del panel.COMPAT_ENGINES
-            else:
-                panel.COMPAT_ENGINES = engines
+        for panel, words in before.items():
+            for name, value in words.items():
+                if value is None:
+                    delattr(panel, name)
+                else:
+                    setattr(panel, name, value)
 
 
 class _RenderPanel:
@@ -209,6 +259,11 @@ class RTGI_PT_last_render(_RenderPanel, bpy.types.Panel):
     bl_label = "Last Render"
     bl_options = {"DEFAULT_CLOSED"}
 
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
+        """Its time, and a sign if there are warnings: the panel is closed at first."""
+        if (report := last_report()) is not None:
+            self.layout.label(text=f"{report['total_ms'] / 1000:.2f} s", icon="ERROR" if report["warnings"] else "NONE")
+
     def draw(self, context: bpy.types.Context) -> None:
         layout, report = self.layout, last_report()
         if report is None:
@@ -293,8 +348,9 @@ class RTGI_PT_compare(_RenderPanel, bpy.types.Panel):
 class RTGI_PT_light_passes(_RenderPanel, bpy.types.Panel):
     """Passes of the view layer that hold light, as far as RTGI fills them."""
 
-    bl_label = "Light Passes"
+    bl_label = "Light"
     bl_context = "view_layer"
+    bl_parent_id = _PASSES
 
     def draw(self, context: bpy.types.Context) -> None:
         from ..engine import OUTPUT_PASSES

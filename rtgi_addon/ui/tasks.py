@@ -17,7 +17,7 @@ from typing import Any
 import bpy
 
 from ..core.settings import Settings
-from ..core.techniques import ALWAYS_ON, TECHNIQUE_PARAMS, optional_techniques
+from ..core.techniques import ALWAYS_ON, LABELS, TECHNIQUE_PARAMS, optional_techniques
 from . import pictures, session
 from .child import POLL_S, Child
 
@@ -88,6 +88,11 @@ def _percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.{1 if value < 0.1 else 0}f} %"
 
 
+def _row_label(name: str) -> str:
+    """A row's name as the panels write it; abbreviations stay, since the column is narrow."""
+    return name.upper() if name in LABELS and len(name) <= 4 else LABELS.get(name, name[:1].upper() + name[1:])
+
+
 def read_comparison(folder: Path) -> Comparison:
     """The table and picture that `rtgi compare -o folder` left."""
     found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
@@ -95,7 +100,7 @@ def read_comparison(folder: Path) -> Comparison:
     for name, row in found["rows"].items():
         errors = row["errors"]
         energy = errors["picture"].get("energy")
-        rows.append((name, f"{row['seconds']:.2f} s" if "seconds" in row else "",
+        rows.append((_row_label(name), f"{row['seconds']:.2f} s" if "seconds" in row else "",
                      _percent(errors.get("bounce", {}).get("block")), _percent(errors["picture"].get("block")),
                      "-" if energy is None else f"{energy:.3f}"))
     noise = found["noise"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rtgi_addon.core.techniques import TECHNIQUE_PARAMS
-from tools import parameter_tables
+from tools import parameter_tables, results
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -73,6 +73,13 @@ def test_readme_names_the_two_commands_and_they_can_be_run():
     for name in ("demo", "check"):
         assert f"\n./{name}\n" in text
         assert (ROOT / name).stat().st_mode & 0o111
+
+
+def test_readme_shows_the_times_and_errors_of_the_results():
+    # mended by: python tools/results.py
+    table = results.readme_table((ROOT / "docs" / "results.md").read_text(encoding="utf-8"))
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert table.count("\n") > 5 and f"<!-- results -->\n{table}<!-- /results -->" in text
 
 
 def test_readme_names_every_command_of_the_program():

@@ -13,6 +13,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent.parent
 TAGS = {"linux-x64": "manylinux_2_27_x86_64.manylinux_2_28_x86_64", "windows-x64": "win_amd64",
         "macos-arm64": "macosx_12_0_arm64"}
+LIBRARIES = {TAGS["linux-x64"]: ("a.so", b"\x7fELF"), TAGS["windows-x64"]: ("a.pyd", b"MZ"),
+             TAGS["macos-arm64"]: ("a.so", b"\xcf\xfa\xed\xfe\x0c\x00\x00\x01")}
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +33,15 @@ def wheels(tmp_path: Path) -> Path:
     for package in ("numba-0.68.1", "llvmlite-0.50.0"):
         for python in ("cp311", "cp313"):
             for tag in TAGS.values():
-                with zipfile.ZipFile(folder / f"{package}-{python}-{python}-{tag}.whl", "w") as wheel:
-                    wheel.writestr(f"{package}.dist-info/METADATA", "")
+                write_wheel(folder / f"{package}-{python}-{python}-{tag}.whl", *LIBRARIES[tag])
     return folder
+
+
+def write_wheel(path: Path, library: str, first_bytes: bytes) -> None:
+    """A wheel with one library."""
+    with zipfile.ZipFile(path, "w") as wheel:
+        wheel.writestr(f"{path.stem}.dist-info/METADATA", "")
+        wheel.writestr(library, first_bytes + bytes(60))
 
 
 def test_each_platform_gets_its_wheels_for_both_pythons_and_no_others(release, wheels, tmp_path, monkeypatch):
@@ -50,6 +58,30 @@ def test_each_platform_gets_its_wheels_for_both_pythons_and_no_others(release, w
         generated = tomllib.loads(archive.read("blender_manifest.toml").decode())["build"]["generated"]
         assert generated["platforms"] == [platform] and len(generated["wheels"]) == len(inside)
         assert {str(path.relative_to(ROOT)) for path in (ROOT / "rtgi_addon").rglob("*.py")} <= set(archive.namelist())
+
+
+@pytest.mark.parametrize(("library", "first_bytes", "said"), [
+    ("a.so", b"\x7fELF", "has no libraries for windows-x64"),          # Linux' under Windows' name
+    ("a.pyd", b"\x7fELF", "has no libraries for windows-x64"),
+    ("numpy/a.pyd", b"MZ", "brings numpy along")])
+def test_wheels_whose_inside_is_not_what_their_name_says_are_refused(release, wheels, tmp_path, monkeypatch, library,
+                                                                     first_bytes, said):
+    monkeypatch.delenv("BLENDER", raising=False)
+    monkeypatch.setenv("PATH", "")
+    write_wheel(next(wheels.glob("llvmlite-*-cp313-*win_amd64.whl")), library, first_bytes)
+    with pytest.raises(release.ReleaseError, match=said):
+        release.build(tmp_path / "dist", wheels)
+
+
+def test_a_zip_with_a_wheel_of_another_system_is_refused(release, wheels, tmp_path, monkeypatch):
+    monkeypatch.delenv("BLENDER", raising=False)
+    monkeypatch.setenv("PATH", "")
+    (path,) = [path for path in release.build(tmp_path / "dist", wheels) if "windows_x64" in path.name]
+    stranger = next(wheels.glob("*manylinux*.whl"))
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.write(stranger, f"wheels/{stranger.name}")
+    with pytest.raises(release.ReleaseError, match="lists other wheels than it holds"):
+        release.check_zip(path)
 
 
 def test_numpy_is_refused(release, wheels):

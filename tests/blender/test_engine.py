@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from rtgi_addon.passes.base import Transport
+
 pytestmark = pytest.mark.blender
 
 # Cycles and our rays both work in float32: a depth of 10 m keeps about 1e-6 of it
@@ -240,6 +242,34 @@ def test_passes_put_the_picture_together_as_those_of_cycles_do(bpy_session, smal
     assert of("GlossDir", "Glossy Direct").max() > 0 and of("GlossInd", "Glossy Indirect").max() > 0
     # float32 sums in another order; a division and a multiplication by the same colour
     assert np.allclose(total, of("Combined", "Combined"), rtol=1e-5, atol=1e-6)
+
+
+def test_compositor_gets_the_passes_of_rtgi(bpy_session, small_scene, tmp_path):
+    from rtgi_addon.engine import OUTPUT_PASSES
+    from rtgi_addon.imageio import read_exr
+
+    if bpy_session.app.version < (5, 0, 0):
+        small_scene.use_nodes = True
+        tree = small_scene.node_tree
+        tree.nodes.clear()
+        output = tree.nodes.new("CompositorNodeComposite")
+    else:
+        tree = small_scene.compositing_node_group = bpy_session.data.node_groups.new("Compositor", "CompositorNodeTree")
+        tree.interface.new_socket(name="Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+        output = tree.nodes.new("NodeGroupOutput")
+        small_scene.render.image_settings.media_type = "IMAGE"
+    layer = tree.nodes.new("CompositorNodeRLayers")
+    assert {name for name, _ in OUTPUT_PASSES} <= {socket.name for socket in layer.outputs if socket.enabled}
+    tree.links.new(layer.outputs["RTGI Diffuse Bounce"], output.inputs[0])
+    settings = small_scene.render.image_settings
+    settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR", "32", "ZIP"
+    small_scene.render.filepath = str(tmp_path / "bounce.exr")
+    bpy_session.ops.render.render(write_still=True)
+    channels = read_exr(tmp_path / "bounce.exr")
+    written = np.stack([channels[c] for c in "RGB"], -1)
+    frame_light = last_result().transports[Transport.BOUNCE_DIFFUSE]
+    assert written.max() > 0 and written.shape == frame_light.shape
+    assert written.mean() < last_result().combined[..., :3].mean()       # the bounce alone, not the picture
 
 
 def test_material_index_pass_holds_the_users_own_numbers(bpy_session, small_scene, tmp_path):

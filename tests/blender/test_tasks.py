@@ -30,9 +30,9 @@ def compared(bpy_session, small_scene, tasks):
 
 def test_comparison_gives_a_table_a_picture_and_a_reference_for_the_next(bpy_session, compared, tasks):
     rows = {row[0]: row[1:] for row in compared.rows}
-    assert {"RTGI", "direct only", "rsm", "Cycles' noise"} <= set(rows)
+    assert {"RTGI", "Direct only", "RSM", "Cycles' noise"} <= set(rows)
     assert rows["RTGI"][0].endswith(" s") and rows["RTGI"][2].endswith(" %") and float(rows["RTGI"][3]) > 0
-    assert rows["direct only"][1] == "100 %"   # no bounce at all
+    assert rows["Direct only"][1] == "100 %"   # no bounce at all
     image = bpy_session.data.images["RTGI Compare"]
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
@@ -58,7 +58,7 @@ def test_panel_shows_the_table(bpy_session, compared):
     from tests.blender.test_ui import drawn_by
 
     drawn = drawn_by(bpy_session, panels.RTGI_PT_compare)
-    assert {"direct only", "Picture", "rtgi.show_comparison", "rtgi.compare", "keeps_reference"} <= set(drawn)
+    assert {"Direct only", "Picture", "rtgi.show_comparison", "rtgi.compare", "keeps_reference"} <= set(drawn)
 
 
 def test_a_failed_comparison_says_why_in_one_line(bpy_session, empty_scene, tasks):

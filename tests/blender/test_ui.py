@@ -17,6 +17,8 @@ pytestmark = pytest.mark.blender
 class FakeLayout:
     """Stands in for a panel's layout and notes what is drawn; a property or an operator that does not exist raises."""
 
+    operator_context = ""
+
     def __init__(self, bpy, drawn=None):
         self.__dict__.update(bpy=bpy, drawn=[] if drawn is None else drawn)
 
@@ -226,22 +228,72 @@ def test_lamp_panels_of_cycles_appear_with_rtgi_and_its_sampling_does_not(bpy_se
     assert "RTGI" not in types.CYCLES_RENDER_PT_light_paths.COMPAT_ENGINES
 
 
+def is_shown(bpy, panel, engine="RTGI"):
+    """Whether a panel would be shown with an engine, wherever all that it asks for is there."""
+    scene, lamp = bpy.context.scene, bpy.data.lights.new("asked", "POINT")
+    mesh = bpy.data.objects.new("asked", bpy.data.meshes.new("asked"))
+    world, material = bpy.data.worlds.new("asked"), bpy.data.materials.new("asked")
+    try:
+        context = types.SimpleNamespace(engine=engine, scene=scene, world=world, material=material, object=mesh, light=lamp,
+                                        active_object=mesh, camera=bpy.data.cameras.new("asked"),
+                                        view_layer=scene.view_layers[0])
+        kind = getattr(bpy.types, panel)
+        return engine in getattr(kind, "COMPAT_ENGINES", {engine}) and bool(getattr(kind, "poll", lambda _: True)(context))
+    finally:
+        bpy.data.batch_remove([lamp, mesh.data, world, material, context.camera])
+
+
 @pytest.mark.parametrize("panel", [
-    "RENDER_PT_format", "RENDER_PT_frame_range", "RENDER_PT_output", "RENDER_PT_color_management", "CYCLES_RENDER_PT_film",
-    "CYCLES_RENDER_PT_film_transparency", "CYCLES_RENDER_PT_performance_threads",
-    "CYCLES_RENDER_PT_performance_final_render", "CYCLES_WORLD_PT_surface", "CYCLES_MATERIAL_PT_surface",
-    "CYCLES_PT_context_material", "CYCLES_LIGHT_PT_light", "CYCLES_LIGHT_PT_nodes", "VIEWLAYER_PT_layer",
-    "CYCLES_RENDER_PT_passes", "CYCLES_RENDER_PT_passes_data", "CYCLES_RENDER_PT_passes_crypto",
+    "RENDER_PT_format", "RENDER_PT_frame_range", "RENDER_PT_output", "RENDER_PT_color_management", "RTGI_PT_film",
+    "RTGI_PT_film_transparency", "RTGI_PT_simplify", "RTGI_PT_performance_threads", "RTGI_PT_performance_final_render",
+    "CYCLES_WORLD_PT_surface", "CYCLES_WORLD_PT_ray_visibility", "CYCLES_MATERIAL_PT_surface",
+    "CYCLES_MATERIAL_PT_settings_surface", "CYCLES_PT_context_material", "CYCLES_LIGHT_PT_light", "CYCLES_LIGHT_PT_nodes",
+    "VIEWLAYER_PT_layer", "CYCLES_RENDER_PT_passes", "CYCLES_RENDER_PT_passes_data", "CYCLES_RENDER_PT_passes_crypto",
     "CYCLES_OBJECT_PT_visibility", "DATA_PT_lens"])
-def test_panels_that_mean_the_same_for_rtgi_are_there(bpy_session, panel):
-    # a panel without the set is shown with every engine
-    assert "RTGI" in getattr(getattr(bpy_session.types, panel), "COMPAT_ENGINES", {"RTGI"})
+def test_panels_that_mean_the_same_for_rtgi_are_there(bpy_session, empty_scene, panel):
+    assert is_shown(bpy_session, panel)
+
+
+@pytest.mark.parametrize("panel", [
+    "CYCLES_RENDER_PT_film", "CYCLES_RENDER_PT_sampling", "CYCLES_RENDER_PT_light_paths", "CYCLES_CAMERA_PT_dof",
+    "CYCLES_WORLD_PT_volume", "CYCLES_WORLD_PT_settings", "CYCLES_MATERIAL_PT_volume", "CYCLES_MATERIAL_PT_settings_volume",
+    "CYCLES_OBJECT_PT_motion_blur"])
+def test_panels_that_mean_nothing_to_rtgi_or_would_be_there_twice_are_not(bpy_session, empty_scene, panel):
+    assert not is_shown(bpy_session, panel)
+
+
+@pytest.mark.parametrize("panel", ["CYCLES_WORLD_PT_surface", "CYCLES_RENDER_PT_film", "CYCLES_CAMERA_PT_dof"])
+def test_panels_of_cycles_stay_with_cycles_and_with_no_third_engine(bpy_session, empty_scene, panel):
+    is_shown(bpy_session, panel)
+    assert is_shown(bpy_session, panel, "CYCLES") and not is_shown(bpy_session, panel, "BLENDER_WORKBENCH")
+
+
+def test_panels_of_rtgi_come_before_those_of_cycles_in_the_tab_render(bpy_session):
+    # Blender sorts by `bl_order`, then by registration: all that is shared there comes later by its order, or was made ours
+    from rtgi_addon.ui.panels import shared_panels
+
+    tops = [p for p in shared_panels() if getattr(p, "bl_context", "") == "render" and not getattr(p, "bl_parent_id", "")]
+    assert tops and all(p.bl_order > 0 for p in tops)
+
+
+def test_a_panel_of_cycles_that_is_shown_again_draws_what_others_added_to_it(bpy_session, empty_scene):
+    types_, drawn = bpy_session.types, []
+
+    def add(panel, context):
+        drawn.append(panel)
+
+    types_.CYCLES_RENDER_PT_film.append(add)
+    try:
+        drawn_by(bpy_session, types_.RTGI_PT_film)
+    finally:
+        types_.CYCLES_RENDER_PT_film.remove(add)
+    assert drawn
 
 
 SCRIPT_TWICE = """
 import os, sys, bpy
 def shown():
-    return {p.__name__: (frozenset(p.COMPAT_ENGINES), "COMPAT_ENGINES" in vars(p))
+    return {p.__name__: (frozenset(p.COMPAT_ENGINES), "COMPAT_ENGINES" in vars(p), vars(p).get("poll"))
             for p in bpy.types.Panel.__subclasses__() if hasattr(p, "COMPAT_ENGINES") and "RTGI_" not in p.__name__}
 def handlers():
     return {n: len(getattr(bpy.app.handlers, n)) for n in dir(bpy.app.handlers)
@@ -263,4 +315,26 @@ os._exit(0)
 def test_registering_twice_is_clean_and_loads_no_numba(request):
     done = subprocess.run([sys.executable, "-c", SCRIPT_TWICE], capture_output=True, text=True, timeout=120, check=False,
                           cwd=request.config.rootpath)
+    assert "clean" in done.stdout, done.stderr
+
+
+SCRIPT_WITHOUT_CYCLES = """
+import os, sys, bpy, addon_utils
+addon_utils.disable("cycles")
+import rtgi_addon
+rtgi_addon.register()
+assert hasattr(bpy.context.scene, "rtgi") and hasattr(bpy.types, "RTGI_PT_light_passes")
+rtgi_addon.unregister()
+addon_utils.enable("cycles")
+rtgi_addon.register()
+assert bpy.types.RTGI_PT_light_passes.bl_parent_id == "CYCLES_RENDER_PT_passes"
+print("clean")
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def test_add_on_can_be_switched_on_before_cycles(request):
+    done = subprocess.run([sys.executable, "-c", SCRIPT_WITHOUT_CYCLES], capture_output=True, text=True, timeout=120,
+                          check=False, cwd=request.config.rootpath)
     assert "clean" in done.stdout, done.stderr

@@ -170,6 +170,20 @@ def test_light_linking_is_warned_of_with_the_objects_name(bpy):
     assert warnings(bpy) == ("object 'Torch Object': light linking is ignored; it acts on everything",)
 
 
+def test_a_shadow_catcher_is_warned_of(bpy):
+    bpy.ops.mesh.primitive_plane_add()
+    bpy.context.object.is_shadow_catcher = True
+    assert warnings(bpy) == ("object 'Plane': it catches no shadows; it is drawn as any other surface",)
+
+
+def test_a_world_that_some_rays_do_not_see_is_warned_of(bpy, world):
+    from rtgi_addon.capture.world import read_world_constant
+
+    bpy.context.scene.world.cycles_visibility.glossy = False
+    reading = read_world_constant(bpy.context.evaluated_depsgraph_get())
+    assert reading.warnings == ("world 'Sky': its ray visibility is ignored; glossy rays see it",)
+
+
 def test_an_ies_lamp_is_warned_of(bpy):
     _, lamp = add_lamp(bpy)
     if bpy.app.version < (5, 0, 0):

@@ -23,7 +23,7 @@ import bpy
 ROOT = Path(__file__).resolve().parent.parent.parent
 EXTENSION = "bl_ext.user_default.rtgi"
 TICK_S = 0.05
-RENDER_LIMIT_S, COMPARE_LIMIT_S = 300.0, 600.0
+RENDER_LIMIT_S, COMPARE_LIMIT_S = 300.0, 900.0
 
 
 class Clock:
@@ -181,10 +181,15 @@ class Driver:
     def look_at_panels(self, name: str) -> Iterator[float]:
         """Draw all tabs of the Properties editor, those of objects too, and take pictures of RTGI's."""
         space = self.area("PROPERTIES").spaces.active
-        for tab in ("OUTPUT", "WORLD", "SCENE", "VIEW_LAYER", "RENDER"):
+        layer = self.window.view_layer
+        for tab, kind in (("OUTPUT", ""), ("WORLD", ""), ("SCENE", ""), ("MATERIAL", "MESH"), ("OBJECT", "MESH"),
+                          ("DATA", "LIGHT"), ("VIEW_LAYER", ""), ("RENDER", "")):
+            if kind:
+                layer.objects.active = next(item for item in layer.objects if item.type == kind)
+                yield 0.2
             space.context = tab
             yield 0.2
-            if tab in ("VIEW_LAYER", "RENDER"):
+            if tab in ("WORLD", "MATERIAL", "DATA", "VIEW_LAYER", "RENDER"):
                 yield from self.picture(f"{name}_{tab.lower()}")
         for page in range(1, 4):
             self.scroll(down=True)
@@ -327,7 +332,7 @@ def main() -> None:
     parser.add_argument("--renders", type=int, default=5)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--zip", type=Path, help="install this extension, not the checkout, and remove it at the end")
-    parser.add_argument("--open-panels", default="", metavar="NAMES", help="rsm,last_render: open what is closed by default")
+    parser.add_argument("--open-panels", default="last_render,compare", metavar="NAMES", help="of panels closed by default")
     parser.add_argument("--wide", action="store_true", help="a wider Properties editor, for pictures in the docs")
     parser.add_argument("--samples", type=int, default=4, help="of the comparison")
     words = parser.parse_args(sys.argv[sys.argv.index("--") + 1:])

@@ -116,7 +116,7 @@ def test_escape_stops_a_comparison(seen):
 def test_comparison_ends_in_a_table(seen):
     assert seen["compare_exit"] == 0, seen["compare_log"]
     rows = [row[0] for row in seen["comparison"]]
-    assert rows[0] == "RTGI" and "direct only" in rows
+    assert rows[0] == "RTGI" and "Direct only" in rows
 
 
 def test_window_stays_awake_during_a_comparison(seen):
