@@ -3,9 +3,9 @@
 A sharp lobe sends its light to a place that no point on the receiver would draw, but from the lamp's side it is one ray:
 through the texel of the lamp's view, off the lobe, to the surface that it meets (Arvo 1986; Jensen 1996). There it leaves
 its flux. The irradiance of a pixel is the flux of the photons around it over their area. Each photon has a disk of its own
-that holds about `NEIGHBOURS` others (the sample point estimator, Silverman 1986): small where light is
-focused, so that edges stay sharp, wide where it is thin. Disks keep a photon's flux, and a pixel is in about as many of
-them wherever it is, so that the cost follows the lit pixels and not the light.
+(the sample point estimator, Silverman 1986) that holds so many others that their noise is `NOISE` of the bounce beside
+them: small where light is focused, so that edges stay sharp, and where it is too faint to matter. Disks keep a photon's
+flux, and a pixel is in about as many of them as a disk holds photons, so that the cost follows the lit pixels.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ from .screen import HALF, pixel_radius, to_screen
 from .shadow import ORTHOGRAPHIC
 from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, length, lifted, load, load_pixel, normalized_or, scaled, sub
 
-NEIGHBOURS = 100            # photons in a disk: 50 leave half as much noise again in weak caustics, 200 blur edges
-COUNTED = 8                 # of them that are looked for: their distance tells the density well enough
+NEIGHBOURS = 100            # photons in a disk at most: 50 leave half as much noise again, 200 blur edges
+FEWEST = 12                 # and at least
+NOISE = 0.05                # standard deviation over the bounce
+COUNTED = 8                 # photons that are looked for: their distance tells the density well enough
 TILE = 8                    # rows of the picture in a band, which one thread sums at a time, and pixels in its tiles
 SAME_SIDE = f32(0.5)        # cosine of two normals of one surface
 FLAT = f32(0.5)             # height over a photon's plane, in radii of its disk, at which a pixel is another surface
@@ -289,14 +291,17 @@ def _box_distance2(boxes, q, p):
 
 
 @pixel_jit
-def _find_radii(begin, end, order, boxes, leaves, photons, nearest, share, most2):
-    """Write `radius2`: squared distance to the nearest-th photon with a like normal, over `share`, at most `most2`."""
+def _find_radii(begin, end, order, boxes, leaves, photons, nearest, level, most2):
+    """Write `radius2`, at most `most2`, from the distance to the nearest-th photon with a like normal.
+
+    `level` W/m2: what one photon a disk may give.
+    """
     photons, = borrowed((photons,))
     best, stack = np.empty(nearest, np.float32), np.empty(64, np.int64)
     for at in range(begin, end):
         k = order[at]
         p, n = load(photons.position, k), load(photons.normal, k)
-        best[:] = most2 * share
+        best[:] = most2
         # its own run first, which leaves little of the tree to look at
         stack[0], stack[1], depth = 1, leaves + at // LEAF, 2
         while depth > 0:
@@ -323,14 +328,18 @@ def _find_radii(begin, end, order, boxes, leaves, photons, nearest, share, most2
                     best[slot] = best[slot - 1]
                     slot -= 1
                 best[slot] = d2
-        photons.radius2[k] = best[nearest - 1] / share
+        flux = (photons.flux[k, 0] + photons.flux[k, 1] + photons.flux[k, 2]) * f32(1 / 3)
+        # n photons of E W/m2 are off by E / sqrt(n)
+        above = flux * f32(nearest / math.pi) / max(best[nearest - 1] * level, f32(1e-30))
+        number = min(max(above * above, f32(FEWEST)), f32(NEIGHBOURS))
+        photons.radius2[k] = min(best[nearest - 1] * number / f32(nearest), most2)
 
 
-def spread_photons(photons: Photons, most_m: float, least_m: float) -> None:
-    """Write `radius2`, no disk larger than `most_m` or smaller than `least_m`.
+def spread_photons(photons: Photons, irradiance: float, most_m: float, least_m: float) -> None:
+    """Write `radius2`, no disk larger than `most_m` or smaller than `least_m`, beside other light of `irradiance` W/m2.
 
-    The distance to the `COUNTED`-th nearest photon tells how dense they are; disks take as many more as their area is
-    larger. Photons are sorted along a Morton curve, whose runs have tight boxes.
+    The distance to the `COUNTED`-th nearest photon tells how dense they are. Photons are sorted along a Morton curve, whose
+    runs have tight boxes.
     """
     low = photons.position.min(0)
     scale = f32(0.999) / max(f32((photons.position.max(0) - low).max()), f32(1e-30))
@@ -339,7 +348,7 @@ def spread_photons(photons: Photons, most_m: float, least_m: float) -> None:
     order = np.argsort(codes)
     leaves = 1 << max(int(len(order) - 1) // LEAF, 0).bit_length()
     boxes = _boxes_over(order, photons, leaves)
-    _find_radii(len(order), order, boxes, leaves, photons, COUNTED, f32(COUNTED / NEIGHBOURS), f32(most_m**2))
+    _find_radii(len(order), order, boxes, leaves, photons, COUNTED, f32(NOISE * irradiance), f32(most_m**2))
     np.maximum(photons.radius2, np.float32(least_m**2), out=photons.radius2)
 
 

@@ -8,12 +8,12 @@ there are widened (`kernels.clusters.MIN_ALPHA`), and the light of a mirror come
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import NamedTuple
+import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from ..core.frame import Frame, Light, LightView
+from ..core.frame import Frame, LightView
 from ..core.transforms import Camera
 from ..kernels.brdf import albedo_table
 from ..kernels.bvh import Bvh
@@ -36,16 +36,10 @@ from .surroundings import reach_out_m
 
 SHARPEST = float(MIN_ALPHA)     # alpha below which a texel's lobe is left to photons
 LEAST_SHARE = 2e-3          # of the light that all texels send on: less in mirrors is not worth the photons
+LARGE_SHARE = 0.1           # from which on all of them are
 MOST_RADIUS = 0.05          # of the scene's size: of a lone photon's disk
 LEAST_REACH = 4.0           # ray offsets by which a view's point may lie off its triangle
 TILE_PHOTONS = 1 << 16      # between two looks at Esc
-
-
-class Caustics(NamedTuple):
-    """(H, W, 3) float32 W/m2, and how many photons brought it."""
-
-    irradiance: np.ndarray
-    photons: int
 
 
 def _is_sharp(view: LightView) -> np.ndarray:
@@ -54,15 +48,21 @@ def _is_sharp(view: LightView) -> np.ndarray:
     return (g.roughness**2 < SHARPEST) & (g.specular.max(-1) > 0)
 
 
-def has_mirrors(frame: Frame) -> bool:
-    """Whether photons bring a part of the bounce that is worth them."""
+def mirror_share(frame: Frame) -> float:
+    """What lobes that are left to photons send on, over all that the texels of the lamps' views do."""
     sharp = total = 0.0
     for view in frame.views:
         light, g = frame.lights[view.light_index], view.gbuffer
         glossy = light.glossy_factor * (view.incident_flux * g.specular).sum(-1)
         sharp += float(glossy[_is_sharp(view)].sum(dtype=np.float64))
         total += float((glossy + light.diffuse_factor * (view.incident_flux * g.albedo).sum(-1)).sum(dtype=np.float64))
-    return sharp > LEAST_SHARE * total
+    return sharp / max(total, 1e-300)
+
+
+def photons_for(frame: Frame, most: int) -> int:
+    """How many photons the mirrors of a frame are worth, of at most `most`."""
+    share = mirror_share(frame)
+    return round(most * min(1.0, math.sqrt(share / LARGE_SHARE))) if share > LEAST_SHARE else 0
 
 
 def _owners(is_sharp: np.ndarray) -> np.ndarray:
@@ -107,16 +107,16 @@ def _sent(mirrors: Mirrors) -> np.ndarray:
     return np.where(mirrors.owner >= 0, (mirrors.flux * specular).mean(-1), 0)
 
 
-def caustics_of(frame: Frame, flux_of: Callable[[LightView, Light], np.ndarray], number: int, bvh: Bvh, context: Context,
-                seed: int) -> Caustics:
-    """Irradiance of the camera's pixels by about `number` photons off the mirror-like texels of all views.
+def add_caustics(irradiance: np.ndarray, frame: Frame, fluxes: Sequence[np.ndarray], number: int, bvh: Bvh,
+                 context: Context, seed: int) -> int:
+    """Add to `irradiance` (H, W, 3) W/m2 that of about `number` photons off the mirror-like texels; how many fell somewhere.
 
-    Every photon has about the same flux. `flux_of(view, light)` is what arrives at the texels, (H, W, 3) W.
+    Every photon has about the same flux. `fluxes` (H, W, 3) W: what arrives at the texels of each view.
     """
     reach_m = reach_out_m(frame, bvh)
     lights = [frame.lights[view.light_index] for view in frame.views]
-    mirrors = [_mirrors_of(frame, view, light.glossy_factor * flux_of(view, light), bvh)
-               for view, light in zip(frame.views, lights, strict=True)]
+    mirrors = [_mirrors_of(frame, view, light.glossy_factor * flux, bvh)
+               for view, light, flux in zip(frame.views, lights, fluxes, strict=True)]
     sent = [_sent(m) for m in mirrors]
     per_flux = number / max(sum(float(s.sum(dtype=np.float64)) for s in sent), 1e-300)
     found: list[Photons] = []
@@ -133,10 +133,11 @@ def caustics_of(frame: Frame, flux_of: Callable[[LightView, Light], np.ndarray],
             shoot_photons(len(landed), *here, expected, m, lamp, bvh, f32(frame.ray_offset_m),
                           f32(LEAST_REACH * frame.ray_offset_m), f32(reach_m), seed + index, photons, landed)
             found.append(Photons(*(a[landed] for a in photons)))
-    out = np.zeros_like(frame.gbuffer.albedo)
     photons = Photons(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
     if len(photons.flux):
-        spread_photons(photons, MOST_RADIUS * frame.scale_m, frame.ray_offset_m)
         context.checkpoint("Add caustics", 0.0)
-        add_photons(photons, screen_of(frame), out)
-    return Caustics(out, len(photons.flux))
+        mask = frame.gbuffer.mask
+        beside = float(irradiance[mask].mean(dtype=np.float64)) if mask.any() else 0.0
+        spread_photons(photons, beside, MOST_RADIUS * frame.scale_m, frame.ray_offset_m)
+        add_photons(photons, screen_of(frame), irradiance)
+    return len(photons.flux)

@@ -16,18 +16,22 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from ..core.frame import Frame, Light, LightKind, LightView
 from ..core.techniques import RsmParams
 from ..kernels.brdf import albedo_table, mean_albedo_table
+from ..kernels.bvh import Bvh
 from ..kernels.clusters import DIFFUSE, GLOSSY, NORMAL, POSITION, ROWS, cluster_texels, fill_texels
 from ..kernels.gather import gather_visible
 from ..kernels.lamps import gain_of_size
 from ..kernels.vec3 import f32, vector
 from ..kernels.vpl import gather_all, gather_polar, thin_texels
 from .base import Context, PassResult, Technique, Transport
-from .caustics import SHARPEST, Caustics, caustics_of, has_mirrors
+from .caustics import SHARPEST, add_caustics, photons_for
 from .direct import pack_lamp
 from .lattice import gather_in_tiles, gather_on_lattice
 from .screen import is_shown
@@ -59,18 +63,24 @@ def _flux_of(view: LightView, light: Light) -> np.ndarray:
     return view.incident_flux * gain[..., None]
 
 
-def texel_table(frame: Frame, use_glossy: bool = True, sharpest: float = 0.0) -> np.ndarray:
+def _fluxes_of(frame: Frame) -> list[np.ndarray]:
+    return [_flux_of(view, frame.lights[view.light_index]) for view in frame.views]
+
+
+def texel_table(frame: Frame, use_glossy: bool = True, sharpest: float = 0.0,
+                fluxes: Sequence[np.ndarray] | None = None) -> np.ndarray:
     """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture.
 
-    Lobes of an alpha below `sharpest` are not in it.
+    Lobes of an alpha below `sharpest` are not in it. `fluxes`: `_fluxes_of(frame)` where that is at hand.
     """
+    fluxes = _fluxes_of(frame) if fluxes is None else fluxes
     reflecting = [is_reflecting(view, frame.lights[view.light_index], use_glossy, sharpest) for view in frame.views]
     table = np.empty((ROWS, sum(int(np.count_nonzero(r)) for r in reflecting)), np.float32)
     offset = 0
-    for view, reflects in zip(frame.views, reflecting, strict=True):
+    for view, reflects, flux in zip(frame.views, reflecting, fluxes, strict=True):
         g, light, count = view.gbuffer, frame.lights[view.light_index], np.count_nonzero(reflects, axis=1)
         fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo,
-                    g.specular, g.roughness, g.f0, _flux_of(view, light), vector(light.position_ws),
+                    g.specular, g.roughness, g.f0, flux, vector(light.position_ws),
                     vector(-light.direction_ws), light.kind is LightKind.SUN, albedo_table(frame.keeps_energy),
                     mean_albedo_table(frame.keeps_energy), use_glossy, f32(sharpest))
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
@@ -83,16 +93,22 @@ def texel_table(frame: Frame, use_glossy: bool = True, sharpest: float = 0.0) ->
 
 
 def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
-    bvh, number = context.bvh(frame.geometry), params.photons if params.glossy_texels else 0
-    caustics = caustics_of(frame, _flux_of, number, bvh, context, seed) if number and has_mirrors(frame) else None
-    table = texel_table(frame, params.glossy_texels, 0.0 if caustics is None else SHARPEST)
-    if caustics is None:
-        caustics = Caustics(np.zeros_like(frame.gbuffer.albedo), 0)
-    if not table.shape[1]:
-        return PassResult({Transport.BOUNCE_DIFFUSE: caustics.irradiance},
-                          diagnostics={"texels": 0, "photons": caustics.photons}, near_left_m=context.near_m)
-    n_texels = table.shape[1]
-    if n_texels > MAX_TEXELS:
+    bvh, fluxes, irradiance = context.bvh(frame.geometry), _fluxes_of(frame), np.zeros_like(frame.gbuffer.albedo)
+    photons = photons_for(frame, params.photons) if params.glossy_texels else 0
+    table = texel_table(frame, params.glossy_texels, SHARPEST if photons else 0.0, fluxes)
+    diagnostics: dict[str, Any] = {"texels": table.shape[1], "photons": 0}
+    if table.shape[1]:
+        irradiance, found = _gather_visible(frame, params, context, seed, table, bvh)
+        diagnostics |= found
+    if photons:
+        diagnostics["photons"] = add_caustics(irradiance, frame, fluxes, photons, bvh, context, seed)
+    return PassResult({Transport.BOUNCE_DIFFUSE: irradiance}, diagnostics=diagnostics, near_left_m=context.near_m)
+
+
+def _gather_visible(frame: Frame, params: RsmParams, context: Context, seed: int, table: np.ndarray,
+                    bvh: Bvh) -> tuple[np.ndarray, dict[str, Any]]:
+    """(irradiance (H, W, 3) W/m2, diagnostics) of the texels of `table` through visibility rays."""
+    if table.shape[1] > MAX_TEXELS:
         table = thin_texels(table, MAX_TEXELS, seed)
     context.checkpoint("Cluster lit texels", 0.0)
     fade = None
@@ -106,11 +122,7 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
         return gather_visible(position, normal, places, clusters, eps2, bvh, params.rays, offset_m, salt)
 
     irradiance, diagnostics = gather_on_lattice(frame, gather, params.lattice_px, 2 * seed + 1, context, "Gather the bounce")
-    irradiance += caustics.irradiance
-    return PassResult({Transport.BOUNCE_DIFFUSE: irradiance},
-                      diagnostics={"texels": n_texels, "clusters": clusters.table.shape[1], "photons": caustics.photons,
-                                   **diagnostics},
-                      near_left_m=context.near_m)
+    return irradiance, {"clusters": clusters.table.shape[1], **diagnostics}
 
 
 def _all_texels(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
