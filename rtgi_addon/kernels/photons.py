@@ -35,7 +35,7 @@ FLAT = f32(0.5)             # height over a photon's plane, in radii of its disk
 SMOOTH = f32(0.9)           # cosine of the normals of two texels between which a surface is bent, not broken
 MOST_TILT = f32(4)          # of a bumped normal over the surface's own towards the light
 MORTON_BITS = 20            # an axis
-LEAF = 8                    # photons in a run of the search tree
+LEAF = 16                    # photons in a run of the search tree
 
 
 class Photons(NamedTuple):
@@ -290,49 +290,59 @@ def _box_distance2(boxes, q, p):
     return x * x + y * y + z * z
 
 
+@inline_jit
+def _nearest(at, order, boxes, leaves, photons, best, stack):
+    """Squared distance from photon `order[at]` to the len(best)-th like one; `best` holds the most that it may be."""
+    k, last = order[at], len(best) - 1
+    p, n = load(photons.position, k), load(photons.normal, k)
+    # its own run first, which leaves little of the tree to look at
+    stack[0], stack[1], depth, own = 1, leaves + at // LEAF, 2, leaves + at // LEAF
+    while depth > 0:
+        depth -= 1
+        q = stack[depth]
+        if (q == own and depth != 1) or _box_distance2(boxes, q, p) >= best[last]:
+            continue                             # the own run, met again, or too far
+        if q < leaves:
+            # the nearer child on top
+            is_first = _box_distance2(boxes, 2 * q, p) <= _box_distance2(boxes, 2 * q + 1, p)
+            stack[depth], stack[depth + 1] = (2 * q + 1, 2 * q) if is_first else (2 * q, 2 * q + 1)
+            depth += 2
+            continue
+        first = (q - leaves) * LEAF
+        for other in range(first, min(first + LEAF, len(order))):
+            d = sub(load(photons.position, order[other]), p)
+            d2 = dot(d, d)
+            if other == at or d2 >= best[last] or dot(n, load(photons.normal, order[other])) < SAME_SIDE:
+                continue
+            slot = last
+            while slot > 0 and best[slot - 1] > d2:
+                best[slot] = best[slot - 1]
+                slot -= 1
+            best[slot] = d2
+    return best[last]
+
+
 @pixel_jit
 def _find_radii(begin, end, order, boxes, leaves, photons, nearest, level, most2):
-    """Write `radius2`, at most `most2`, from the distance to the nearest-th photon with a like normal.
+    """Write `radius2`, at most `most2`, for runs of photons from the distance to the nearest-th with a like normal.
 
-    `level` W/m2: what one photon a disk may give.
+    Photons that are nearer than that to the one before share its distance. `level` W/m2: what one photon a disk may give.
     """
     photons, = borrowed((photons,))
     best, stack = np.empty(nearest, np.float32), np.empty(64, np.int64)
-    for at in range(begin, end):
-        k = order[at]
-        p, n = load(photons.position, k), load(photons.normal, k)
-        best[:] = most2
-        # its own run first, which leaves little of the tree to look at
-        stack[0], stack[1], depth = 1, leaves + at // LEAF, 2
-        while depth > 0:
-            depth -= 1
-            q = stack[depth]
-            if _box_distance2(boxes, q, p) >= best[nearest - 1]:
-                continue
-            if q < leaves:
-                # the nearer child on top
-                is_first = _box_distance2(boxes, 2 * q, p) <= _box_distance2(boxes, 2 * q + 1, p)
-                stack[depth], stack[depth + 1] = (2 * q + 1, 2 * q) if is_first else (2 * q, 2 * q + 1)
-                depth += 2
-                continue
-            run = q - leaves
-            if run == at // LEAF and depth != 1:
-                continue                         # the own run, met again
-            for other in range(run * LEAF, min(run * LEAF + LEAF, len(order))):
-                d = sub(load(photons.position, order[other]), p)
-                d2 = dot(d, d)
-                if other == at or d2 >= best[nearest - 1] or dot(n, load(photons.normal, order[other])) < SAME_SIDE:
-                    continue
-                slot = nearest - 1
-                while slot > 0 and best[slot - 1] > d2:
-                    best[slot] = best[slot - 1]
-                    slot -= 1
-                best[slot] = d2
-        flux = (photons.flux[k, 0] + photons.flux[k, 1] + photons.flux[k, 2]) * f32(1 / 3)
-        # n photons of E W/m2 are off by E / sqrt(n)
-        above = flux * f32(nearest / math.pi) / max(best[nearest - 1] * level, f32(1e-30))
-        number = min(max(above * above, f32(FEWEST)), f32(NEIGHBOURS))
-        photons.radius2[k] = min(best[nearest - 1] * number / f32(nearest), most2)
+    for run in range(begin, end):
+        asked, distance2 = -1, ZERO
+        for at in range(run * LEAF, min(run * LEAF + LEAF, len(order))):
+            k = order[at]
+            d = sub(load(photons.position, k), load(photons.position, asked)) if asked >= 0 else Vec3(ZERO, ZERO, ZERO)
+            if asked < 0 or dot(d, d) >= distance2:
+                best[:] = most2
+                asked, distance2 = k, _nearest(at, order, boxes, leaves, photons, best, stack)
+            flux = (photons.flux[k, 0] + photons.flux[k, 1] + photons.flux[k, 2]) * f32(1 / 3)
+            # n photons of E W/m2 are off by E / sqrt(n)
+            above = flux * f32(nearest / math.pi) / max(distance2 * level, f32(1e-30))
+            number = min(max(above * above, f32(FEWEST)), f32(NEIGHBOURS))
+            photons.radius2[k] = min(distance2 * number / f32(nearest), most2)
 
 
 def spread_photons(photons: Photons, irradiance: float, most_m: float, least_m: float) -> None:
@@ -348,7 +358,7 @@ def spread_photons(photons: Photons, irradiance: float, most_m: float, least_m: 
     order = np.argsort(codes)
     leaves = 1 << max(int(len(order) - 1) // LEAF, 0).bit_length()
     boxes = _boxes_over(order, photons, leaves)
-    _find_radii(len(order), order, boxes, leaves, photons, COUNTED, f32(NOISE * irradiance), f32(most_m**2))
+    _find_radii(-(-len(order) // LEAF), order, boxes, leaves, photons, COUNTED, f32(NOISE * irradiance), f32(most_m**2))
     np.maximum(photons.radius2, np.float32(least_m**2), out=photons.radius2)
 
 
