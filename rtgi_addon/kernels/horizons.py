@@ -8,6 +8,7 @@ two-dimensional array the compiler would have to prove at run time that rows do 
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -282,6 +283,7 @@ def sector_visibility(s, groups, height, width, step, margin, radius, thickness,
     return out
 
 
+@functools.cache
 def sector_directions(rows: int = 33) -> np.ndarray:
     """(rows, 8, 2) float32: mean (v, s) of the directions in each eighth of a slice's sectors, weighted as the slice is.
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from .brdf import INV_PI, ggx_lobe
-from .jit import borrowed, device_jit, pixel_jit
+from .jit import borrowed, device_jit, inline_jit, pixel_jit
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .sky import find_first, sky_texel
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load, normalized_or, scaled, sub, tangent_frame, to_world
@@ -24,7 +24,7 @@ SIDE_COLUMNS = 5            # of what a side sends: see `seen_radiance`
 L_COLOUR, L_NORMAL, L_TO_LIGHT, L_ALPHA2, L_F0, L_LAST, LOBE_COLUMNS = 0, 3, 6, 9, 10, 11, 12
 
 
-@device_jit
+@inline_jit
 def seen_radiance(radiance, lobes, row, side, d):
     """(red, green, blue) W/(m2 sr) that side `side` of voxel `row` sends against a ray along d.
 
@@ -44,28 +44,7 @@ def seen_radiance(radiance, lobes, row, side, d):
     return red, green, blue
 
 
-@device_jit
-def cone_radiance(walk, levels, radiance, lobes, sky, p, n, d, exact, tangent):
-    """(red, green, blue) W/(m2 sr) that arrives at p, in cells, along -d: a ray for `exact` cells, a cone, then the sky."""
-    if exact > ZERO:
-        o = along(p, n, LIFT)
-        t, row, side = first_surface(walk, o, d, n, exact)
-        if row >= 0:
-            return seen_radiance(radiance, lobes, row, side, d)
-        red, green, blue, visibility = ZERO, ZERO, ZERO, ONE
-        if t >= exact:
-            red, green, blue, visibility = trace_cone(levels, o, d, t, tangent, f32(1e30))
-    else:
-        red, green, blue, visibility = trace_cone(levels, along(p, n, CONE_LIFT), d, ZERO, tangent, f32(1e30))
-    if visibility > ZERO:
-        i, j = sky_texel(d, sky.shape[0], sky.shape[1])
-        red += visibility * sky[i, j, 0]
-        green += visibility * sky[i, j, 1]
-        blue += visibility * sky[i, j, 2]
-    return red, green, blue
-
-
-@device_jit
+@inline_jit
 def _aim(rows, cells, target, u, v):
     """A point in cells on side `target` (6 row + side), even over its surface, from numbers in [0, 1)."""
     row, slot = target // 6, (target % 6) >> 1
@@ -90,7 +69,7 @@ def _aim(rows, cells, target, u, v):
                 f32(cells[row, 2]) + min(max(p.z, ZERO), ONE))
 
 
-@device_jit
+@inline_jit
 def _balanced(rows, radiance, row, side, d, n, t, by_cosine, aimed):
     """Cosine over the density with which `by_cosine` cosine rays and `aimed` aimed ones find what lies t along d."""
     plane, _ = slot_plane(rows, row, side >> 1)
@@ -100,7 +79,7 @@ def _balanced(rows, radiance, row, side, d, n, t, by_cosine, aimed):
     return cosine / max(density, f32(1e-20))
 
 
-@device_jit
+@inline_jit
 def _aimed_ray(rows, cells, targets, cdf, share, u, v, o, n):
     """(unit direction, distance in cells) from o to a point on the side that the running sum has at `share`.
 
@@ -116,43 +95,63 @@ def _aimed_ray(rows, cells, targets, cdf, share, u, v, o, n):
     return d, distance if (dot(plane, d) > ZERO) == ((target & 1) == 1) else ZERO
 
 
+@device_jit
+def _shines(sky):
+    """Is there light in any texel of a map (H, W, 3)?"""
+    for i in range(sky.shape[0]):
+        for j in range(sky.shape[1]):
+            if sky[i, j, 0] + sky[i, j, 1] + sky[i, j, 2] > ZERO:
+                return True
+    return False
+
+
 @pixel_jit
 def _gather_voxels(begin, end, position, normal, turn, walk, cells, levels, radiance, lobes, sky, targets, cdf, cones, aimed,
                    exact, seed, out):
-    walk, levels = borrowed((walk, levels))
+    walk, cells, levels, radiance, lobes, sky, targets, cdf = borrowed(
+        (walk, cells, levels, radiance, lobes, sky, targets, cdf))
     by_cosine = f32(cones - aimed)
     narrow = max(ONE - ONE / f32(cones), f32(0.5))          # cosine of the half angle of an even share of the hemisphere
     tangent = math.sqrt(ONE - narrow * narrow) / narrow
     shift_u, shift_v, shift_w = uniform(0, seed, 0), uniform(0, seed, 1), uniform(0, seed, 2)
-    rows = walk.rows
+    rows, is_dark = walk.rows, not _shines(sky)
     for m in range(begin, end):
         p, n = load(position, m), load(normal, m)
         if not math.isfinite(p.x + p.y + p.z):
             continue
         u_axis, v_axis = tangent_frame(n)
-        o = along(p, n, LIFT)
+        o = along(p, n, LIFT if exact > ZERO else CONE_LIFT)
         first_share = (shift_w + f32(turn[m]) * GOLDEN) % ONE
         red, green, blue, squares = ZERO, ZERO, ZERO, ZERO
         for j in range(cones):
             u, v = r2_sequence(turn[m] * cones + j, shift_u, shift_v)
-            weight = PI / f32(cones)
-            if aimed == 0:
+            reach, at_least = exact, ZERO
+            if j >= aimed:
                 d = to_world(cosine_hemisphere(u, v), u_axis, v_axis, n)
-                r, g, b = cone_radiance(walk, levels, radiance, lobes, sky, p, n, d, exact, tangent)
             else:
-                reach, at_least = exact, ZERO
-                if j >= aimed:
-                    d = to_world(cosine_hemisphere(u, v), u_axis, v_axis, n)
-                else:
-                    d, distance = _aimed_ray(rows, cells, targets, cdf, (f32(j) + first_share) / f32(aimed), u, v, o, n)
-                    if distance == ZERO:
-                        continue
-                    reach, at_least = distance + NEAR_TARGET, distance - NEAR_TARGET
+                d, distance = _aimed_ray(rows, cells, targets, cdf, (f32(j) + first_share) / f32(aimed), u, v, o, n)
+                if distance == ZERO:
+                    continue
+                reach, at_least = distance + NEAR_TARGET, distance - NEAR_TARGET
+            t, row, side = ZERO, np.int64(-1), 0
+            if exact > ZERO:
                 t, row, side = first_surface(walk, o, d, n, reach)
-                if row < 0 or t < at_least:
+            weight = PI / f32(cones)
+            if row >= 0:
+                if t < at_least:
                     continue
                 r, g, b = seen_radiance(radiance, lobes, row, side, d)
-                weight = _balanced(rows, radiance, row, side, d, n, t, by_cosine, f32(aimed))
+                if aimed > 0:
+                    weight = _balanced(rows, radiance, row, side, d, n, t, by_cosine, f32(aimed))
+            elif aimed > 0 or (is_dark and t < exact):
+                continue
+            else:
+                r, g, b, visibility = ZERO, ZERO, ZERO, ONE
+                if t >= exact:
+                    r, g, b, visibility = trace_cone(levels, o, d, t, tangent, f32(1e30))
+                if visibility > ZERO and not is_dark:
+                    x, y = sky_texel(d, sky.shape[0], sky.shape[1])
+                    r, g, b = r + visibility * sky[x, y, 0], g + visibility * sky[x, y, 1], b + visibility * sky[x, y, 2]
             red, green, blue = red + weight * r, green + weight * g, blue + weight * b
             squares += (weight * (r + g + b)) ** 2
         out[m, 0], out[m, 1], out[m, 2], out[m, 3] = red, green, blue, ONE
@@ -178,7 +177,7 @@ def gather_voxels(position, normal, turn, walk, cells, levels, radiance, lobes, 
 
 @pixel_jit
 def _gather_reflections(begin, end, position, normal, to_viewer, roughness, walk, levels, radiance, lobes, spread, out):
-    walk, levels = borrowed((walk, levels))
+    walk, levels, radiance, lobes = borrowed((walk, levels, radiance, lobes))
     for m in range(begin, end):
         p, n, v = load(position, m), load(normal, m), load(to_viewer, m)
         if not math.isfinite(p.x + p.y + p.z):

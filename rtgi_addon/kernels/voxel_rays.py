@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import borrowed, device_jit, pixel_jit
+from .jit import borrowed, device_jit, inline_jit, pixel_jit
 from .sampling import uniform
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, load, sub
 from .voxels import BOX_STEPS, MASK_SIDE
@@ -164,7 +164,7 @@ def _is_there(rows, row, slot, t):
     return opacity >= BOX_STEPS or uniform(row, int(t * f32(4096)), slot) * f32(BOX_STEPS) < f32(opacity)
 
 
-@device_jit
+@inline_jit
 def meet_voxel(rows, row, corner, before, before_corner, o, d, n, t_in, t_out):
     """(t, side) of the first surface of voxel `row` that the ray o + t d meets between t_in and t_out; t is FAR for none.
 
@@ -199,7 +199,7 @@ def meet_voxel(rows, row, corner, before, before_corner, o, d, n, t_in, t_out):
     return best, side
 
 
-@device_jit
+@inline_jit
 def first_surface(walk, o, d, n, reach):
     """(t, row, side) of the first surface along o + t d, for t below `reach`; row is -1 where there is none.
 

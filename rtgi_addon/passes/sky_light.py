@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from ..core.frame import World
@@ -48,10 +50,15 @@ def irradiance_table(world: World) -> np.ndarray:
     if world.is_constant:
         return np.tile((np.pi * world.radiance[0, 0]).astype(np.float32), (2, 2, 1))
     radiance = shrink_map(world.radiance, TABLE_MAP_SIZE).astype(np.float32)
-    direction, solid_angle = texel_directions(*radiance.shape[:2])
-    flux = radiance.reshape(-1, 3) * solid_angle.reshape(-1, 1).astype(np.float32)
+    return (_node_cosines(*radiance.shape[:2]) @ radiance.reshape(-1, 3)).reshape(NODES, NODES, 3)
+
+
+@functools.lru_cache(2)
+def _node_cosines(height: int, width: int) -> np.ndarray:
+    """(NODES^2, height width) float32: cosine times solid angle of a map's texels for each node; 9 MB, 20 ms to make."""
+    direction, solid_angle = texel_directions(height, width)
     cosine = node_directions(NODES).reshape(-1, 3).astype(np.float32) @ direction.reshape(-1, 3).T.astype(np.float32)
-    return (np.maximum(cosine, 0) @ flux).reshape(NODES, NODES, 3)
+    return np.maximum(cosine, 0) * solid_angle.reshape(1, -1).astype(np.float32)
 
 
 def open_irradiance(world: World, normal_ws: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ References
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -69,7 +70,14 @@ def radiance_table(world: World) -> np.ndarray:
     if world.is_constant or world.is_black:
         return NO_SKY
     radiance = shrink_map(world.radiance, SKY_MAP_SIZE)
-    direction, solid_angle = texel_directions(*radiance.shape[:2])
+    weight = _node_weights(*radiance.shape[:2])
+    return np.ascontiguousarray((weight @ radiance.reshape(-1, 3).astype(np.float32)).reshape(SKY_NODES, SKY_NODES, 3))
+
+
+@functools.lru_cache(2)
+def _node_weights(height: int, width: int) -> np.ndarray:
+    """(SKY_NODES^2, height width) float32: share of each texel of a map in each node; 9 MB."""
+    direction, solid_angle = texel_directions(height, width)
     nodes = node_directions(SKY_NODES).reshape(-1, 3).astype(np.float32)
     weight = nodes @ direction.reshape(-1, 3).T.astype(np.float32)
     # the chord stands for the angle: they differ by 0.1 % where the tent ends
@@ -77,7 +85,7 @@ def radiance_table(world: World) -> np.ndarray:
     np.maximum(1 - weight * np.float32((SKY_NODES - 1) / np.pi), 0, out=weight)
     weight *= solid_angle.ravel().astype(np.float32)
     weight /= np.maximum(weight.sum(1, keepdims=True), np.float32(1e-30))
-    return np.ascontiguousarray((weight @ radiance.reshape(-1, 3).astype(np.float32)).reshape(SKY_NODES, SKY_NODES, 3))
+    return weight
 
 
 def tap_table(frame: Frame) -> np.ndarray:
