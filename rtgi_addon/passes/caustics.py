@@ -17,7 +17,6 @@ from ..core.frame import Frame, LightView
 from ..core.transforms import Camera
 from ..kernels.brdf import albedo_table
 from ..kernels.bvh import Bvh
-from ..kernels.clusters import MIN_ALPHA
 from ..kernels.photons import (
     Mirrors,
     Photons,
@@ -34,7 +33,7 @@ from .direct import pack_lamp
 from .screen import screen_of
 from .surroundings import reach_out_m
 
-SHARPEST = float(MIN_ALPHA)     # alpha below which a texel's lobe is left to photons
+SHARPEST = 0.05             # alpha (roughness 0.22) below which a texel's lobe is left to photons: wider ones gain nothing
 LEAST_SHARE = 2e-3          # of the light that all texels send on: less in mirrors is not worth the photons
 LARGE_SHARE = 0.1           # from which on all of them are
 MOST_RADIUS = 0.05          # of the scene's size: of a lone photon's disk

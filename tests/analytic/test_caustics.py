@@ -100,7 +100,7 @@ def test_a_soft_lamp_blurs_the_edge_and_keeps_the_light():
     assert edge[1] > 1.2 * edge[0]
 
 
-@pytest.mark.parametrize("roughness", [0.0, 0.15, 0.3])
+@pytest.mark.parametrize("roughness", [0.0, 0.1, 0.22])
 def test_all_light_of_the_lobe_arrives_in_a_closed_box(roughness):
     """What a mirror in a box sends off is what its walls get, however it is spread."""
     box = box_triangles(np.array([-2.0, -2.0, -0.01]), np.array([2.0, 2.0, 3.0]))
