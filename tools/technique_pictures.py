@@ -53,6 +53,8 @@ PICTURES = {
                         "shining_panels"),
     "rsm": Picture("flashlight", "bounce", (
         Row("As published", "rsm", {"method": "PAPER"}), Row("With visibility", "rsm"))),
+    "caustics": Picture("caustics", "bounce", (
+        Row("Lobes widened", "rsm", {"photons": 0}), Row("Photons", "rsm")), samples=1024),
     "vxgi": Picture("thin_wall_maze", "bounce", (
         Row("Cones, as published", "vxgi", {"exact_voxels": 0}), Row("Rays through voxels", "vxgi"))),
     "lpv": Picture("thin_wall_maze", "bounce", (

@@ -22,6 +22,7 @@ TRIANGLES = {
     "animated_door": (4_000, 8_000),
     "courtyard": (16_000, 32_000),
     "many_lights": (36_000, 73_000),
+    "caustics": (2_500, 6_000),
 }
 
 
