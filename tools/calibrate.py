@@ -79,7 +79,7 @@ def _clustered(also: dict[str, Any]) -> list[dict[str, Any]]:
 
 GRIDS: dict[str, list[dict[str, Any]]] = {
     "direct": _grid(soft_shadow_rays=(4, 8, 16, 32, 64, 128)),
-    "world": [*_RAYS, {"lattice_px": 4, "rays": 32}],
+    "world": [*_RAYS, {"lattice_px": 4, "rays": 32}, {"lattice_px": 2, "rays": 12}],
     "emission": _clustered({"lattice_px": 8, "rays": 16, "clusters": 256}),
     "rsm": _clustered({"lattice_px": 8, "rays": 24, "clusters": 256}),
     "final_gather": [*_RAYS, {"lattice_px": 8, "rays": 12}],
