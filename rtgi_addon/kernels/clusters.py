@@ -19,10 +19,11 @@ from .vec3 import ONE, ZERO, dot, f32, load_pixel, normalized_or, sub
 # rows of the texel table
 POSITION, NORMAL, DIFFUSE, TO_LIGHT, GLOSSY, ALPHA2, F0 = 0, 3, 6, 9, 12, 15, 16
 ROWS = 17
-# clustered texels have two more: mean over the colours of each flux, which is what draws go by
-MEAN_DIFFUSE, MEAN_GLOSSY = 17, 18
-FADE = 19                   # only where it is read whole: `near_weight` of senders that another technique takes, else 0
-RECORD = 20                 # numbers a texel takes where it is read whole
+# clustered texels have three more: mean over the colours of each flux, which is what draws go by, and the radius of the disk
+# that has the texel's area
+MEAN_DIFFUSE, MEAN_GLOSSY, RADIUS = 17, 18, 19
+FADE = 20                   # only where it is read whole: `near_weight` of senders that another technique takes, else 0
+RECORD = 21                 # numbers a texel takes where it is read whole
 NO_LOBE = f32(2)
 # rows of the cluster table
 C_POSITION, C_NORMAL, C_DIFFUSE, C_RADIUS2, C_TO_LIGHT, C_GLOSSY, C_ALPHA2, C_SPREAD, C_F0 = 0, 3, 6, 7, 8, 11, 12, 13, 14
@@ -35,10 +36,10 @@ NORMAL_WEIGHT = 0.15        # how far apart in scene sizes two opposite normals 
 class Clusters(NamedTuple):
     """Texels in cluster order and their means, as the gather takes them.
 
-    texels (19, N) float32, for loops over runs, and the same as records (N, 20), for texels drawn here and there (a fifth of
+    texels (20, N) float32, for loops over runs, and the same as records (N, 21), for texels drawn here and there (a fifth of
     the memory traffic); has_glossy: whether any texel has a lobe;
     table (15, C) float32: mean position, mean unit normal, mean diffuse flux (summed), largest
-    squared distance of a texel, mean direction to the light, mean glossy flux, alpha squared widened by the spread,
+    squared distance of a texel's edge, mean direction to the light, mean glossy flux, alpha squared widened by the spread,
     largest difference of a texel's normal to the mean, mean F0;
     start, end (C,) int64: the columns of each cluster; running (N + 1,) float64: flux summed over the columns before.
     """
@@ -221,7 +222,8 @@ def _summarise_each(begin, stop, T, start, end, out):
         radius2, spread2 = ZERO, ZERO
         for k in range(start[c], end[c]):
             dx, dy, dz = T[0, k] - out[0, c], T[1, k] - out[1, c], T[2, k] - out[2, c]
-            radius2 = max(radius2, dx * dx + dy * dy + dz * dz)
+            radius = math.sqrt(dx * dx + dy * dy + dz * dz) + T[RADIUS, k]
+            radius2 = max(radius2, radius * radius)
             ex, ey = T[NORMAL, k] - out[C_NORMAL, c], T[NORMAL + 1, k] - out[C_NORMAL + 1, c]
             ez = T[NORMAL + 2, k] - out[C_NORMAL + 2, c]
             spread2 = max(spread2, ex * ex + ey * ey + ez * ez)
@@ -239,9 +241,11 @@ def _summarise(T, start, end):
     return out
 
 
-def cluster_texels(table: np.ndarray, number: int, scale_m: float, fade: np.ndarray | None = None) -> Clusters:
+def cluster_texels(table: np.ndarray, number: int, scale_m: float, fade: np.ndarray | None = None,
+                   radius_m: np.ndarray | None = None) -> Clusters:
     """Group the columns of a (17, N) texel table, N >= 1, into at most `number` clusters; `scale_m` is the scene's size.
 
+    `radius_m` (N,): of the disk of each texel's area; without it texels are points.
     `fade` (N,) 1/m2: the diffuse light of a texel counts 1 - near_weight(distance^2, fade) where it is not 0.
     """
     feature = np.empty((table.shape[1], 6), np.float32)
@@ -249,10 +253,12 @@ def cluster_texels(table: np.ndarray, number: int, scale_m: float, fade: np.ndar
     np.multiply(table[NORMAL:NORMAL + 3].T, np.float32(NORMAL_WEIGHT * scale_m), out=feature[:, 3:])
     weight = table[DIFFUSE:DIFFUSE + 3].sum(0) + table[GLOSSY:GLOSSY + 3].sum(0)
     order, start, end = _split_texels(feature, weight, min(number, table.shape[1]))
-    texels = np.empty((MEAN_GLOSSY + 1, table.shape[1]), np.float32)
+    texels = np.zeros((RADIUS + 1, table.shape[1]), np.float32)
     np.take(table, order, axis=1, out=texels[:ROWS])
     for mean, row in ((MEAN_DIFFUSE, DIFFUSE), (MEAN_GLOSSY, GLOSSY)):
         np.mean(texels[row:row + 3], axis=0, out=texels[mean])
+    if radius_m is not None:
+        texels[RADIUS] = radius_m[order]
     records = np.zeros((table.shape[1], RECORD), np.float32)
     records[:, :len(texels)] = texels.T
     if fade is not None:

@@ -32,24 +32,29 @@ from .clusters import (
     MEAN_GLOSSY,
     NO_LOBE,
     NORMAL,
+    RADIUS,
     TO_LIGHT,
 )
 from .jit import borrowed, inline_jit, pixel_jit
-from .sampling import dither, near_weight, uniform
-from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_column, scaled, sub
+from .sampling import disk, dither, near_weight, uniform
+from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, lifted, load, load_column, scaled, sub, tangent_frame
 
 HALF, THIRD = f32(0.5), f32(1 / 3)
 LEAST = f32(0.25)           # a cosine counts at least this share of the most that any texel of the cluster may have
 NEAR = f32(1)               # a cluster nearer than its radius is summed texel by texel (squares): 15 % less noise than 0.25
 MAX_SHARES = f32(8)         # a ray may give at most this many times its fair share: bounds rare bright rays
+SPREAD2 = f32(64)           # distance over a texel's radius, squared, below which it is no point
 CANDIDATES = 4              # texels of a far cluster that compete for a ray
 NEAR_TEXELS = 8192          # texels of near clusters that a point weighs one by one; clusters beyond count as far
 
 
 @inline_jit
-def _record_factors(p, n, R, k, eps2):
-    """(diffuse, glossy): irradiance at point p, normal n is diffuse * R[k, DIFFUSE] + glossy * R[k, GLOSSY]; 1/m2."""
-    d = sub(load(R, k), p)
+def _record_factors(p, n, R, k, place, eps2):
+    """(diffuse, glossy): irradiance at p, normal n is diffuse * R[k, DIFFUSE] + glossy * R[k, GLOSSY]; 1/m2.
+
+    `place` is where in the texel its light comes from.
+    """
+    d = sub(place, p)
     m = Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2])
     cos_r, cos_e = dot(d, n), -dot(d, m)
     if cos_r <= ZERO or cos_e <= ZERO:
@@ -90,15 +95,19 @@ def _weigh(p, n, C, has_glossy, w):
 
 @inline_jit
 def _weigh_texels(p, n, T, has_glossy, eps2, first, number, out, at):
-    """Mean over the colours of what each of `number` texels gives unshadowed, to out[at:]; returns their sum."""
+    """Mean over the colours of what each of `number` texels gives unshadowed, to out[at:]; returns their sum.
+
+    About: a near texel's disk may reach above a horizon, or closer, where its middle does not.
+    """
     total = ZERO
     for i in range(number):                      # without a branch and with unsigned indices: vectorised
         k = np.uint64(first) + np.uint64(i)
         d = Vec3(T[0, k] - p.x, T[1, k] - p.y, T[2, k] - p.z)
         m = Vec3(T[NORMAL, k], T[NORMAL + 1, k], T[NORMAL + 2, k])
+        lift = f32(0.25) * T[RADIUS, k]
         cos_r, cos_e = dot(d, n), -dot(d, m)
-        r2 = dot(d, d) + eps2
-        gives = cos_r * cos_e / (r2 * r2) * INV_PI * T[MEAN_DIFFUSE, k]
+        r2 = dot(d, d) + f32(4) * lift * lift + eps2
+        gives = (cos_r + lift) * (cos_e + lift) / (r2 * r2) * INV_PI * T[MEAN_DIFFUSE, k]
         if has_glossy:
             inv, to_light = ONE / math.sqrt(r2), Vec3(T[TO_LIGHT, k], T[TO_LIGHT + 1, k], T[TO_LIGHT + 2, k])
             gives += (cos_r * inv / r2 * T[MEAN_GLOSSY, k]
@@ -147,7 +156,7 @@ def _pick_far(p, n, R, running, eps2, first, last, u, v):
     total, k, gives_k = ZERO, -1, ZERO
     for j in range(number):
         q = _by_flux(running, first, last, (f32(j) + u) / f32(number))
-        diffuse, glossy = _record_factors(p, n, R, q, eps2)
+        diffuse, glossy = _record_factors(p, n, R, q, load(R, q), eps2)
         gives = diffuse * R[q, MEAN_DIFFUSE] + glossy * R[q, MEAN_GLOSSY]
         weight = gives * f32(span / (running[q + 1] - running[q]))
         total += weight
@@ -157,6 +166,22 @@ def _pick_far(p, n, R, running, eps2, first, last, u, v):
         elif total > ZERO:
             v = (v * total - weight) / max(total - weight, f32(1e-30))
     return k, gives_k * f32(number) / max(total, f32(1e-30))
+
+
+@inline_jit
+def _place_in(p, n, R, k, u, v):
+    """Where the light of texel k comes from: its middle, for near points p a place in the disk of its area.
+
+    What is behind the receiver's horizon is folded back over the middle: in a corner the disk reaches into the other wall.
+    """
+    middle, radius = load(R, k), R[k, RADIUS]
+    d = sub(middle, p)
+    if dot(d, d) >= SPREAD2 * radius * radius:
+        return middle
+    tangent, bitangent = tangent_frame(Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2]))
+    x, y = disk(u, v)
+    off = add(scaled(tangent, radius * x), scaled(bitangent, radius * y))
+    return add(middle, scaled(off, -ONE if dot(add(d, off), n) < ZERO else ONE))
 
 
 @inline_jit
@@ -199,14 +224,15 @@ def _gather_at(p, n, place, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
             k, share = _pick_far(p, n, R, running, eps2, start[c], end[c], u, uniform(place, seed, 2 * j + 1))
         if k < 0 or share <= ZERO:
             continue
-        diffuse, glossy = _record_factors(p, n, R, k, eps2)
+        sender = _place_in(p, n, R, k, uniform(place, seed + 1, 2 * j), uniform(place, seed + 1, 2 * j + 1))
+        diffuse, glossy = _record_factors(p, n, R, k, sender, eps2)
         if R[k, FADE] > ZERO:
-            d = sub(load(R, k), p)
+            d = sub(sender, p)
             diffuse *= ONE - near_weight(dot(d, d), R[k, FADE])
         gives = diffuse * R[k, MEAN_DIFFUSE] + glossy * R[k, MEAN_GLOSSY]
         if gives <= ZERO:
             continue
-        target_point = lifted(load(R, k), Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2]), offset_m)
+        target_point = lifted(sender, Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2]), offset_m)
         start_point = begun(origin, sub(target_point, origin), offset_m)
         arrives = visibility(bvh, stack, start_point, sub(target_point, start_point))
         if arrives == ZERO:

@@ -16,12 +16,14 @@ References
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ..core.frame import Frame, Light, LightKind, LightView
+from ..core.radiometry import texel_solid_angle
 from ..core.techniques import RsmParams
 from ..kernels.brdf import albedo_table, mean_albedo_table
 from ..kernels.bvh import Bvh
@@ -38,6 +40,7 @@ from .screen import is_shown
 
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MOST_GAIN = f32(4)          # of a lamp's size: at grazing places its centre gives nearly nothing
+LEAST_COSINE = 0.1          # of a texel's normal to the lamp: flatter ones do not grow longer
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
@@ -92,13 +95,32 @@ def texel_table(frame: Frame, use_glossy: bool = True, sharpest: float = 0.0,
     return table
 
 
+def texel_radii(frame: Frame, use_glossy: bool = True, sharpest: float = 0.0) -> np.ndarray:
+    """(N,) float32 m: of each texel of `texel_table` the radius of the disk that has its area on the surface."""
+    found = []
+    for view in frame.views:
+        light, g = frame.lights[view.light_index], view.gbuffer
+        reflects = is_reflecting(view, light, use_glossy, sharpest)
+        normal, to_light = g.normal_ws[reflects], np.broadcast_to(-light.direction_ws.astype(np.float32), (1, 3))
+        across = np.float32(np.prod(view.camera.pixel_size))
+        if light.kind is not LightKind.SUN:
+            to_light = light.position_ws.astype(np.float32) - g.position_ws[reflects]
+            distance2 = np.einsum("ij,ij->i", to_light, to_light)
+            across = texel_solid_angle(view.camera)[reflects].astype(np.float32) * distance2
+            to_light = to_light / np.sqrt(np.maximum(distance2, np.float32(1e-30)))[:, None]
+        cosine = np.maximum((normal * to_light).sum(1), np.float32(LEAST_COSINE))
+        found.append(np.sqrt(across / (np.float32(np.pi) * cosine)))
+    return np.concatenate(found) if found else np.zeros(0, np.float32)
+
+
 def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
     bvh, fluxes, irradiance = context.bvh(frame.geometry), _fluxes_of(frame), np.zeros_like(frame.gbuffer.albedo)
     photons = photons_for(frame, params.photons) if params.glossy_texels else 0
     table = texel_table(frame, params.glossy_texels, SHARPEST if photons else 0.0, fluxes)
     diagnostics: dict[str, Any] = {"texels": table.shape[1], "photons": 0}
     if table.shape[1]:
-        irradiance, found = _gather_visible(frame, params, context, seed, table, bvh)
+        radius_m = texel_radii(frame, params.glossy_texels, SHARPEST if photons else 0.0)
+        irradiance, found = _gather_visible(frame, params, context, seed, table, radius_m, bvh)
         diagnostics |= found
     if photons:
         diagnostics["photons"] = add_caustics(irradiance, frame, fluxes, photons, bvh, context, seed)
@@ -106,16 +128,18 @@ def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> Pa
 
 
 def _gather_visible(frame: Frame, params: RsmParams, context: Context, seed: int, table: np.ndarray,
-                    bvh: Bvh) -> tuple[np.ndarray, dict[str, Any]]:
+                    radius_m: np.ndarray, bvh: Bvh) -> tuple[np.ndarray, dict[str, Any]]:
     """(irradiance (H, W, 3) W/m2, diagnostics) of the texels of `table` through visibility rays."""
     if table.shape[1] > MAX_TEXELS:
-        table = thin_texels(table, MAX_TEXELS, seed)
+        each = table.shape[1] / MAX_TEXELS       # texels that one stands for, with flux and area
+        table = thin_texels(np.concatenate([table, radius_m[None] * np.float32(math.sqrt(each))]), MAX_TEXELS, seed)
+        table, radius_m = table[:ROWS], table[ROWS]
     context.checkpoint("Cluster lit texels", 0.0)
     fade = None
     if context.near_m > 0:                       # whoever asked brings the near light of texels that the camera sees
         shown = is_shown(frame, table[POSITION:POSITION + 3].T, table[NORMAL:NORMAL + 3].T)
         fade = shown * f32(1 / context.near_m**2)
-    clusters = cluster_texels(table, params.clusters, frame.scale_m, fade)
+    clusters = cluster_texels(table, params.clusters, frame.scale_m, fade, radius_m)
     offset_m, eps2 = f32(frame.ray_offset_m), f32(MIN_DISTANCE2 * frame.scale_m**2)
 
     def gather(position: np.ndarray, normal: np.ndarray, _: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:
