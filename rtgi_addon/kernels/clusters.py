@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import fit_lobe, matt_share
+from .brdf import INV_PI, fit_lobe, matt_share
 from .jit import device_jit, pixel_jit
 from .vec3 import ONE, ZERO, dot, f32, load_pixel, normalized_or, sub
 
@@ -30,6 +30,7 @@ C_POSITION, C_NORMAL, C_DIFFUSE, C_RADIUS2, C_TO_LIGHT, C_GLOSSY, C_ALPHA2, C_SP
 CLUSTER_ROWS = 15
 MIN_ALPHA = f32(0.1)        # sharper lobes are widened: in a gather their noise costs more than their blur
 LOBE_SHARE = f32(1e-3)      # a glossy lobe below this share of the texel's flux is dropped
+LEAST_COSINE = f32(0.1)     # of a texel's normal to its lamp: on flatter ones its disk grows no longer
 NORMAL_WEIGHT = 0.15        # how far apart in scene sizes two opposite normals count, when clusters are split
 
 
@@ -39,7 +40,7 @@ class Clusters(NamedTuple):
     texels (20, N) float32, for loops over runs, and the same as records (N, 21), for texels drawn here and there (a fifth of
     the memory traffic); has_glossy: whether any texel has a lobe;
     table (15, C) float32: mean position, mean unit normal, mean diffuse flux (summed), largest
-    squared distance of a texel's edge, mean direction to the light, mean glossy flux, alpha squared widened by the spread,
+    squared distance of a texel, mean direction to the light, mean glossy flux, alpha squared widened by the spread,
     largest difference of a texel's normal to the mean, mean F0;
     start, end (C,) int64: the columns of each cluster; running (N + 1,) float64: flux summed over the columns before.
     """
@@ -55,10 +56,11 @@ class Clusters(NamedTuple):
 
 @pixel_jit
 def fill_texels(begin, end, table, first, reflects, position, normal, albedo, specular, roughness, known_f0, flux,
-                light_position, to_sun, is_sun, albedos, means, use_glossy, sharpest):
+                light_position, to_sun, is_sun, albedos, means, use_glossy, sharpest, across, radius):
     """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row.
 
-    Lobes of an alpha below `sharpest` are left out.
+    Lobes of an alpha below `sharpest` are left out. `radius` (N,) gets the radius in m of the disk that has the texel's area
+    on the surface; `across` (H, W) is the texel's solid angle, or its area in m2 where the lamp is a sun.
     """
     height, width = roughness.shape
     for i in range(begin, end):
@@ -71,7 +73,8 @@ def fill_texels(begin, end, table, first, reflects, position, normal, albedo, sp
             alpha = roughness[i, j] * roughness[i, j]
             has_lobe = use_glossy and alpha >= sharpest
             alpha = min(max(alpha, MIN_ALPHA), ONE)
-            cosine = min(max(dot(n, w), ZERO), f32(0.999))
+            d, cosine = sub(light_position, p), min(max(dot(n, w), ZERO), f32(0.999))
+            radius[k] = math.sqrt(across[i, j] * (ONE if is_sun else dot(d, d)) * INV_PI / max(cosine, LEAST_COSINE))
             reflectance = (specular[i, j, 0] + specular[i, j, 1] + specular[i, j, 2]) * f32(1 / 3)
             f0, gain = fit_lobe(reflectance, cosine, alpha, albedos, known_f0[i, j])
             below, diffuse, glossy = matt_share(reflectance, cosine, alpha, f0, albedos, means), ZERO, ZERO
@@ -222,8 +225,7 @@ def _summarise_each(begin, stop, T, start, end, out):
         radius2, spread2 = ZERO, ZERO
         for k in range(start[c], end[c]):
             dx, dy, dz = T[0, k] - out[0, c], T[1, k] - out[1, c], T[2, k] - out[2, c]
-            radius = math.sqrt(dx * dx + dy * dy + dz * dz) + T[RADIUS, k]
-            radius2 = max(radius2, radius * radius)
+            radius2 = max(radius2, dx * dx + dy * dy + dz * dz)
             ex, ey = T[NORMAL, k] - out[C_NORMAL, c], T[NORMAL + 1, k] - out[C_NORMAL + 1, c]
             ez = T[NORMAL + 2, k] - out[C_NORMAL + 2, c]
             spread2 = max(spread2, ex * ex + ey * ey + ez * ez)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from .brdf import INV_PI, ggx_lobe
-from .bvh import STACK, visibility
+from .bvh import BIG, STACK, closest_hit, triangle_normal, visibility
 from .clusters import (
     ALPHA2,
     C_ALPHA2,
@@ -28,6 +28,7 @@ from .clusters import (
     F0,
     FADE,
     GLOSSY,
+    LEAST_COSINE,
     MEAN_DIFFUSE,
     MEAN_GLOSSY,
     NO_LOBE,
@@ -43,19 +44,19 @@ HALF, THIRD = f32(0.5), f32(1 / 3)
 LEAST = f32(0.25)           # a cosine counts at least this share of the most that any texel of the cluster may have
 NEAR = f32(1)               # a cluster nearer than its radius is summed texel by texel (squares): 15 % less noise than 0.25
 MAX_SHARES = f32(8)         # a ray may give at most this many times its fair share: bounds rare bright rays
-SPREAD2 = f32(64)           # distance over a texel's radius, squared, below which it is no point
+SPREAD2 = f32(16)           # distance over a texel's radius, squared, below which it is no point
+SAME_SURFACE = f32(0.9)     # cosine of the triangle's normal and the texel's, which may be bumped, on one surface
 CANDIDATES = 4              # texels of a far cluster that compete for a ray
 NEAR_TEXELS = 8192          # texels of near clusters that a point weighs one by one; clusters beyond count as far
 
 
 @inline_jit
-def _record_factors(p, n, R, k, place, eps2):
+def _record_factors(p, n, R, k, place, m, eps2):
     """(diffuse, glossy): irradiance at p, normal n is diffuse * R[k, DIFFUSE] + glossy * R[k, GLOSSY]; 1/m2.
 
-    `place` is where in the texel its light comes from.
+    Light leaves the texel k at `place`, of normal m.
     """
     d = sub(place, p)
-    m = Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2])
     cos_r, cos_e = dot(d, n), -dot(d, m)
     if cos_r <= ZERO or cos_e <= ZERO:
         return ZERO, ZERO
@@ -156,7 +157,8 @@ def _pick_far(p, n, R, running, eps2, first, last, u, v):
     total, k, gives_k = ZERO, -1, ZERO
     for j in range(number):
         q = _by_flux(running, first, last, (f32(j) + u) / f32(number))
-        diffuse, glossy = _record_factors(p, n, R, q, load(R, q), eps2)
+        normal = Vec3(R[q, NORMAL], R[q, NORMAL + 1], R[q, NORMAL + 2])
+        diffuse, glossy = _record_factors(p, n, R, q, load(R, q), normal, eps2)
         gives = diffuse * R[q, MEAN_DIFFUSE] + glossy * R[q, MEAN_GLOSSY]
         weight = gives * f32(span / (running[q + 1] - running[q]))
         total += weight
@@ -169,19 +171,30 @@ def _pick_far(p, n, R, running, eps2, first, last, u, v):
 
 
 @inline_jit
-def _place_in(p, n, R, k, u, v):
-    """Where the light of texel k comes from: its middle, for near points p a place in the disk of its area.
+def _place_in(p, R, k, bvh, stack, u, v):
+    """(place, normal) where the light of texel k comes from: its middle, for near points p what the lamp hits beside it.
 
-    What is behind the receiver's horizon is folded back over the middle: in a corner the disk reaches into the other wall.
+    A texel's light falls on all that its square of the lamp's view holds. Near it that matters: in a corner, on a ledge that
+    is narrower than a texel, at the edge of a shadow. One ray of the lamp, drawn in the disk of the square's area, finds the
+    triangle.
     """
-    middle, radius = load(R, k), R[k, RADIUS]
-    d = sub(middle, p)
+    middle, radius, to_light = load(R, k), R[k, RADIUS], Vec3(R[k, TO_LIGHT], R[k, TO_LIGHT + 1], R[k, TO_LIGHT + 2])
+    normal, d = Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2]), sub(middle, p)
     if dot(d, d) >= SPREAD2 * radius * radius:
-        return middle
-    tangent, bitangent = tangent_frame(Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2]))
+        return middle, normal
+    tangent, bitangent = tangent_frame(to_light)
     x, y = disk(u, v)
-    off = add(scaled(tangent, radius * x), scaled(bitangent, radius * y))
-    return add(middle, scaled(off, -ONE if dot(add(d, off), n) < ZERO else ONE))
+    # the radius is that on the surface, which grows as the lamp's square falls flatter on it
+    across = radius * math.sqrt(max(dot(normal, to_light), LEAST_COSINE))
+    off = add(scaled(tangent, across * x), scaled(bitangent, across * y))
+    start = along(add(middle, off), to_light, f32(2) * radius)
+    t, slot, _, _ = closest_hit(bvh, stack, start, scaled(to_light, -ONE), BIG)
+    if slot < 0:
+        return middle, normal
+    face = triangle_normal(bvh, slot)
+    if dot(face, to_light) < ZERO:
+        face = scaled(face, -ONE)
+    return along(start, to_light, -t), normal if dot(face, normal) > SAME_SURFACE else face
 
 
 @inline_jit
@@ -224,15 +237,15 @@ def _gather_at(p, n, place, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
             k, share = _pick_far(p, n, R, running, eps2, start[c], end[c], u, uniform(place, seed, 2 * j + 1))
         if k < 0 or share <= ZERO:
             continue
-        sender = _place_in(p, n, R, k, uniform(place, seed + 1, 2 * j), uniform(place, seed + 1, 2 * j + 1))
-        diffuse, glossy = _record_factors(p, n, R, k, sender, eps2)
+        sender, facing = _place_in(p, R, k, bvh, stack, uniform(place, seed + 1, 2 * j), uniform(place, seed + 1, 2 * j + 1))
+        diffuse, glossy = _record_factors(p, n, R, k, sender, facing, eps2)
         if R[k, FADE] > ZERO:
             d = sub(sender, p)
             diffuse *= ONE - near_weight(dot(d, d), R[k, FADE])
         gives = diffuse * R[k, MEAN_DIFFUSE] + glossy * R[k, MEAN_GLOSSY]
         if gives <= ZERO:
             continue
-        target_point = lifted(sender, Vec3(R[k, NORMAL], R[k, NORMAL + 1], R[k, NORMAL + 2]), offset_m)
+        target_point = lifted(sender, facing, offset_m)
         start_point = begun(origin, sub(target_point, origin), offset_m)
         arrives = visibility(bvh, stack, start_point, sub(target_point, start_point))
         if arrives == ZERO:

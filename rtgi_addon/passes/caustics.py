@@ -60,6 +60,8 @@ def mirror_share(frame: Frame) -> float:
 
 def photons_for(frame: Frame, most: int) -> int:
     """How many photons the mirrors of a frame are worth, of at most `most`."""
+    if not any(_is_sharp(view).any() for view in frame.views):
+        return 0
     share = mirror_share(frame)
     return round(most * min(1.0, math.sqrt(share / LARGE_SHARE))) if share > LEAST_SHARE else 0
 

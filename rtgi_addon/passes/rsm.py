@@ -40,7 +40,6 @@ from .screen import is_shown
 
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MOST_GAIN = f32(4)          # of a lamp's size: at grazing places its centre gives nearly nothing
-LEAST_COSINE = 0.1          # of a texel's normal to the lamp: flatter ones do not grow longer
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
@@ -70,56 +69,43 @@ def _fluxes_of(frame: Frame) -> list[np.ndarray]:
     return [_flux_of(view, frame.lights[view.light_index]) for view in frame.views]
 
 
-def texel_table(frame: Frame, use_glossy: bool = True, sharpest: float = 0.0,
-                fluxes: Sequence[np.ndarray] | None = None) -> np.ndarray:
-    """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture.
+def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
+    """(17, N) float32 table of all views' texels that reflect light (rows: `kernels.clusters`), in the order of capture."""
+    return texels_and_radii(frame, _fluxes_of(frame), use_glossy)[0]
 
-    Lobes of an alpha below `sharpest` are not in it. `fluxes`: `_fluxes_of(frame)` where that is at hand.
+
+def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: bool,
+                     sharpest: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """(`texel_table`, (N,) float32 m: radius of the disk that has the area of each texel on the surface that it falls on).
+
+    `fluxes` (H, W, 3) W: what arrives at the texels of each view. Lobes of an alpha below `sharpest` are left out.
     """
-    fluxes = _fluxes_of(frame) if fluxes is None else fluxes
     reflecting = [is_reflecting(view, frame.lights[view.light_index], use_glossy, sharpest) for view in frame.views]
-    table = np.empty((ROWS, sum(int(np.count_nonzero(r)) for r in reflecting)), np.float32)
-    offset = 0
+    number = sum(int(np.count_nonzero(r)) for r in reflecting)
+    table, radius_m, offset = np.empty((ROWS, number), np.float32), np.empty(number, np.float32), 0
     for view, reflects, flux in zip(frame.views, reflecting, fluxes, strict=True):
         g, light, count = view.gbuffer, frame.lights[view.light_index], np.count_nonzero(reflects, axis=1)
+        is_sun = light.kind is LightKind.SUN
+        across = np.full((1, 1), np.prod(view.camera.pixel_size)) if is_sun else texel_solid_angle(view.camera)
         fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo,
-                    g.specular, g.roughness, g.f0, flux, vector(light.position_ws),
-                    vector(-light.direction_ws), light.kind is LightKind.SUN, albedo_table(frame.keeps_energy),
-                    mean_albedo_table(frame.keeps_energy), use_glossy, f32(sharpest))
+                    g.specular, g.roughness, g.f0, flux, vector(light.position_ws), vector(-light.direction_ws), is_sun,
+                    albedo_table(frame.keeps_energy), mean_albedo_table(frame.keeps_energy), use_glossy, f32(sharpest),
+                    np.broadcast_to(across, reflects.shape).astype(np.float32), radius_m)
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
         mine = slice(offset, offset + int(count.sum()))
         for row, factor in ((DIFFUSE, light.diffuse_factor), (GLOSSY, light.glossy_factor)):
             if factor != 1:
                 table[row:row + 3, mine] *= np.float32(factor)
         offset = mine.stop
-    return table
-
-
-def texel_radii(frame: Frame, use_glossy: bool = True, sharpest: float = 0.0) -> np.ndarray:
-    """(N,) float32 m: of each texel of `texel_table` the radius of the disk that has its area on the surface."""
-    found = []
-    for view in frame.views:
-        light, g = frame.lights[view.light_index], view.gbuffer
-        reflects = is_reflecting(view, light, use_glossy, sharpest)
-        normal, to_light = g.normal_ws[reflects], np.broadcast_to(-light.direction_ws.astype(np.float32), (1, 3))
-        across = np.float32(np.prod(view.camera.pixel_size))
-        if light.kind is not LightKind.SUN:
-            to_light = light.position_ws.astype(np.float32) - g.position_ws[reflects]
-            distance2 = np.einsum("ij,ij->i", to_light, to_light)
-            across = texel_solid_angle(view.camera)[reflects].astype(np.float32) * distance2
-            to_light = to_light / np.sqrt(np.maximum(distance2, np.float32(1e-30)))[:, None]
-        cosine = np.maximum((normal * to_light).sum(1), np.float32(LEAST_COSINE))
-        found.append(np.sqrt(across / (np.float32(np.pi) * cosine)))
-    return np.concatenate(found) if found else np.zeros(0, np.float32)
+    return table, radius_m
 
 
 def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
     bvh, fluxes, irradiance = context.bvh(frame.geometry), _fluxes_of(frame), np.zeros_like(frame.gbuffer.albedo)
     photons = photons_for(frame, params.photons) if params.glossy_texels else 0
-    table = texel_table(frame, params.glossy_texels, SHARPEST if photons else 0.0, fluxes)
+    table, radius_m = texels_and_radii(frame, fluxes, params.glossy_texels, SHARPEST if photons else 0.0)
     diagnostics: dict[str, Any] = {"texels": table.shape[1], "photons": 0}
     if table.shape[1]:
-        radius_m = texel_radii(frame, params.glossy_texels, SHARPEST if photons else 0.0)
         irradiance, found = _gather_visible(frame, params, context, seed, table, radius_m, bvh)
         diagnostics |= found
     if photons:
