@@ -32,9 +32,9 @@ class WorldParams(Params):
     """Light of the world's background that reaches a pixel without a bounce."""
 
     rays: int = param(
-        32, "Rays into the sky from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
+        16, "Rays into the sky from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
     lattice_px: int = param(
-        4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
+        2, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
 
 
@@ -197,7 +197,7 @@ class SsrParams(Params):
                  ("WORLD", "World", "The world alone; black where it is black"),
                  ("CONES", "Voxel Cones", "The glossy light of the voxel cones, where that technique runs; else rays")))
     samples: int = param(
-        8, "Rays for each block of 4x4 pixels, at least one for each smooth pixel; noise falls with the square root",
+        16, "Rays for each block of 4x4 pixels, at least one for each smooth pixel; noise falls with the square root",
         low=1, high=4096, soft_high=256)
     lattice_px: int = param(
         4, "Largest distance between traced pixels on rough surfaces; pixels between them are interpolated",
@@ -341,7 +341,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
     "DRAFT": {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 4, "rays": 16},
-        "emission": {"lattice_px": 8, "rays": 12, "clusters": 256},
+        "emission": {"lattice_px": 8, "rays": 16, "clusters": 256},
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 512},
         "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
         "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
@@ -353,7 +353,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
     },
     "BALANCED": {
         "direct": {"soft_shadow_rays": 16},
-        "world": {"lattice_px": 4, "rays": 32},
+        "world": {"lattice_px": 2, "rays": 16},
         "emission": {"lattice_px": 2, "rays": 8, "clusters": 512},
         "rsm": {"lattice_px": 4, "rays": 16, "clusters": 512},
         "vxgi": {"resolution": 128, "lattice_px": 4, "cones": 32},
@@ -362,12 +362,12 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "ssao": {"samples": 16, "lattice_px": 1, "overscan": 0.0},
         "ssdo": {"slices": 1, "steps": 8, "lattice_px": 2, "samples": 32},
         "final_gather": {"lattice_px": 4, "rays": 24},
-        "ssr": {"samples": 8},
+        "ssr": {"samples": 16},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 64},
         "world": {"lattice_px": 2, "rays": 32},
-        "emission": {"lattice_px": 2, "rays": 16, "clusters": 512},
+        "emission": {"lattice_px": 2, "rays": 32, "clusters": 512},
         "rsm": {"lattice_px": 2, "rays": 32, "clusters": 512},
         "vxgi": {"resolution": 256, "lattice_px": 2, "cones": 64},
         "lpv": {"resolution": 48, "directions": 6, "lattice_px": 3},
