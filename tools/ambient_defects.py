@@ -37,7 +37,7 @@ METHODS = {
     "HBAO, cosine, lattice 2": (compute_hbao, HbaoParams(lattice_px=2)),
     "HBAO, cosine, overscan 0.15": (compute_hbao, HbaoParams(overscan=0.15)),
 }
-RADII = (0.05, 0.2, 1.0)    # of the scene's size; 0.2 is the default
+RADII = (0.025, 0.05, 0.2, 1.0)     # of the scene's size; 0.2 is the default
 EVERY = 7                   # pixels between two that get rays of a radius' length
 SAMPLES = (4, 8, 16, 32, 64)
 WHITE = World(np.ones((1, 1, 3), np.float32))
@@ -93,7 +93,7 @@ def main(argv: list[str] | None = None) -> int:
             print(f"| {path.stem} | " + " | ".join(cells) + " |", flush=True)
             if number == 0:
                 curve, shown = by_taps(frame, mask), got | {"rays": (wanted, 0.0)}
-        columns = [f"{share:.0%}{words}" for share in RADII for words in ("", ", overscan 0.3")]
+        columns = [f"{100 * share:g} %{words}" for share in RADII for words in ("", ", overscan 0.3")]
         print("\n| radius | " + " | ".join(columns) + " |\n" + "| --- " * (len(columns) + 1) + "|")
         for path in options.frames:
             frame = dataclasses.replace(load_frame(path), world=WHITE)
