@@ -90,8 +90,8 @@ CASES = (
          (f"{_PLACES}::test_light_in_a_corner_has_no_spikes",
           "analytic/test_vxgi.py::test_furnace_gives_one_in_its_corners_to_a_thousandth")),
     Case("1/r^2 at corners", "light missing on the lowest 0.07 texels of that wall; negative is too much",
-         "not mended for rsm: most of the light there comes from a strip of the nearest texel that few of its rays find, and "
-         "one ray gives at most eight times its share",
+         "not mended for rsm: most of the light there comes from a strip of the nearest texel that few of its rays find, "
+         "and one ray gives at most eight times its share",
          _of(lambda name: measure.missing_in_corner(name, _CORNER[name], 0.006), _CORNER), ()),
     Case("grazing angles", "mean error against closed forms, of a floor seen at an angle of 0.001 rad",
          "",
