@@ -15,8 +15,9 @@ from rtgi_addon.kernels.bvh import build_bvh
 from rtgi_addon.kernels.clusters import cluster_texels
 from rtgi_addon.kernels.gather import gather_visible
 from rtgi_addon.kernels.sampling import r2_sequence, uniform
+from rtgi_addon.passes import rsm
 from rtgi_addon.passes.base import Context, Transport
-from rtgi_addon.passes.rsm import MIN_DISTANCE2, compute_rsm, texel_table
+from rtgi_addon.passes.rsm import MIN_DISTANCE2, compute_rsm, texel_table, texels_and_radii
 from tests.oracle import rsm_oracle
 from tests.plane_frames import with_matt_views
 
@@ -212,11 +213,31 @@ def test_a_wall_between_texel_and_point_makes_exactly_zero(rng):
     assert lit[:, :3].any() and not dark[:, :3].any()
 
 
-def test_the_pass_at_every_pixel_equals_brute_force(room):
+@pytest.fixture
+def texels_as_points(monkeypatch):
+    """The pass takes near texels as points, as the sums of the oracle do."""
+    monkeypatch.setattr(rsm, "texels_and_radii", lambda *args: (made := texels_and_radii(*args))[:1] + (0 * made[1],))
+
+
+def test_the_pass_at_every_pixel_equals_brute_force(room, texels_as_points):
     frame, exact = room[0], room[-1]
     params = RsmParams(lattice_px=1, rays=1024, clusters=256)
     light = compute_rsm(frame, params, Context(), 3).light[Transport.BOUNCE_DIFFUSE]
     assert np.abs(light[frame.gbuffer.mask] - exact).sum() / exact.sum() < 0.03
+
+
+def test_near_texels_give_what_a_finer_view_gives(room, request):
+    """Texels of a view of 12 pixels are half a metre wide; what the lamp hits within them comes near the view of 96."""
+    params = RsmParams(lattice_px=1, rays=256, clusters=256, photons=0)
+
+    def bounce(view_px):
+        frame = dataclasses.replace(make_room_frame(16, 12), views=make_room_frame(16, view_px).views)
+        return compute_rsm(frame, params, Context(), 3).light[Transport.BOUNCE_DIFFUSE].astype(np.float64)
+
+    fine, coarse = bounce(96), bounce(12)
+    request.getfixturevalue("texels_as_points")
+    points = bounce(12)
+    assert np.abs(coarse - fine).sum() < 0.8 * np.abs(points - fine).sum()
 
 
 def test_all_texels_equal_brute_force_without_visibility(room):
