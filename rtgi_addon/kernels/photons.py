@@ -35,7 +35,7 @@ FLAT = f32(0.5)             # height over a photon's plane, in radii of its disk
 SMOOTH = f32(0.9)           # cosine of the normals of two texels between which a surface is bent, not broken
 MOST_TILT = f32(4)          # of a bumped normal over the surface's own towards the light
 MORTON_BITS = 20            # an axis
-LEAF = 16                    # photons in a run of the search tree
+LEAF = 16                   # photons in a run of the search tree
 
 
 class Photons(NamedTuple):
