@@ -134,11 +134,12 @@ def add_caustics(irradiance: np.ndarray, frame: Frame, fluxes: Sequence[np.ndarr
             shoot_photons(len(landed), *here, expected, m, lamp, bvh, f32(frame.ray_offset_m),
                           f32(LEAST_REACH * frame.ray_offset_m), f32(reach_m), seed + index, photons, landed)
             found.append(Photons(*(a[landed] for a in photons)))
+    if not any(len(photons.flux) for photons in found):      # none at all where few were asked for, or none met a surface
+        return 0
     photons = Photons(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
-    if len(photons.flux):
-        context.checkpoint("Add caustics", 0.0)
-        mask = frame.gbuffer.mask
-        beside = float(irradiance[mask].mean(dtype=np.float64)) if mask.any() else 0.0
-        spread_photons(photons, beside, MOST_RADIUS * frame.scale_m, frame.ray_offset_m)
-        add_photons(photons, screen_of(frame), irradiance)
+    context.checkpoint("Add caustics", 0.0)
+    mask = frame.gbuffer.mask
+    beside = float(irradiance[mask].mean(dtype=np.float64)) if mask.any() else 0.0
+    spread_photons(photons, beside, MOST_RADIUS * frame.scale_m, frame.ray_offset_m)
+    add_photons(photons, screen_of(frame), irradiance)
     return len(photons.flux)

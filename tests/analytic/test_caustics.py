@@ -153,3 +153,10 @@ def test_the_same_bits_on_any_number_of_threads():
 def test_a_scene_without_mirrors_shoots_none():
     frame = mirror_and_wall(LightKind.SUN, roughness=0.5)
     assert compute_rsm(frame, RsmParams(), Context(), 0).diagnostics["photons"] == 0
+
+
+@pytest.mark.parametrize("photons", [1, 2, 9])
+def test_a_handful_of_photons_is_no_error(photons):
+    for kind in (LightKind.SUN, LightKind.POINT):
+        light = bounce(mirror_and_wall(kind), photons=photons)
+        assert np.isfinite(light).all() and (light >= 0).all()

@@ -130,7 +130,7 @@ def test_rsm_panel_shows_only_what_the_method_reads(bpy_session, empty_scene, no
     from rtgi_addon.ui.panels import TECHNIQUE_PANELS
 
     panel = TECHNIQUE_PANELS["rsm"]
-    assert drawn_by(bpy_session, panel) == ["method", "lattice_px", "rays", "clusters", "glossy_texels"]
+    assert drawn_by(bpy_session, panel) == ["method", "lattice_px", "rays", "clusters", "glossy_texels", "photons"]
     empty_scene.rtgi.rsm.method = "PAPER"
     assert drawn_by(bpy_session, panel) == ["method", "samples", "radius", "weighting"]
 
