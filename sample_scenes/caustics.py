@@ -1,8 +1,8 @@
 """Polished metal under a lamp: caustics, the light that mirrors throw.
 
-A ring draws the nephroid of the coffee cup, a dented bowl throws arcs, a small mirror sends a bright rectangle to the wall,
-and a ball of brushed metal spreads what the mirror keeps sharp. All of it is light after one bounce. A path tracer finds it
-by chance only, when a ray from the table happens to meet the lamp in the metal.
+A ring draws the nephroid of the coffee cup, a tilted bowl throws a crescent, a small mirror lays a faint band over the
+table, and a ball of brushed metal spreads what a mirror would keep sharp. All of it is light after one bounce. A path tracer
+finds it by chance only, when a ray from the table happens to meet the lamp in the metal.
 """
 
 from __future__ import annotations

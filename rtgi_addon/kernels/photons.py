@@ -296,12 +296,14 @@ def _nearest(at, order, boxes, leaves, photons, best, stack):
     k, last = order[at], len(best) - 1
     p, n = load(photons.position, k), load(photons.normal, k)
     # its own run first, which leaves little of the tree to look at
-    stack[0], stack[1], depth, own = 1, leaves + at // LEAF, 2, leaves + at // LEAF
+    own, is_own_done = leaves + at // LEAF, False
+    stack[0], stack[1], depth = 1, own, 2
     while depth > 0:
         depth -= 1
         q = stack[depth]
-        if (q == own and depth != 1) or _box_distance2(boxes, q, p) >= best[last]:
-            continue                             # the own run, met again, or too far
+        if (q == own and is_own_done) or _box_distance2(boxes, q, p) >= best[last]:
+            continue
+        is_own_done = is_own_done or q == own
         if q < leaves:
             # the nearer child on top
             is_first = _box_distance2(boxes, 2 * q, p) <= _box_distance2(boxes, 2 * q + 1, p)

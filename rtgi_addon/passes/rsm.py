@@ -6,8 +6,9 @@ The fourth power because both dot products take the unnormalised difference; the
 Phi has intensity Phi / pi cos(theta) (the paper counts it in its flux). To that comes the texel's glossy lobe: a lit surface
 sends both, and without it 7 to 31 % of the bounce is missing in scenes with gloss.
 
-Methods: VISIBLE draws texels from clusters by what they would give and traces a shadow ray to each; ALL sums every texel, or
-an even share, without visibility; PAPER is [1] as printed, polar samples around the pixel's place in the map.
+Methods: VISIBLE draws texels from clusters by what they would give and traces a shadow ray to each, and follows the light of
+mirrors as photons (`caustics`); ALL sums every texel, or an even share, without visibility; PAPER is [1] as printed, polar
+samples around the pixel's place in the map.
 
 References
 ----------
@@ -196,7 +197,8 @@ def compute_rsm(frame: Frame, params: RsmParams, context: Context, seed: int = 0
     Returns
     -------
     PassResult
-        BOUNCE_DIFFUSE: (H, W, 3) float32 W/m2. Diagnostics: texels, clusters, share of pixels gathered.
+        BOUNCE_DIFFUSE: (H, W, 3) float32 W/m2. Diagnostics: texels, clusters, share of pixels gathered, and
+        photons that met a surface.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from rtgi_addon.core.synthetic import box_triangles, cast_view
 from rtgi_addon.core.techniques import RsmParams
 from rtgi_addon.core.transforms import Camera, Projection
 from rtgi_addon.kernels.jit import kernel_session
-from rtgi_addon.kernels.photons import NEIGHBOURS
+from rtgi_addon.kernels.photons import COUNTED, LEAF, NEIGHBOURS, _boxes_over, _nearest, make_photons
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.rsm import compute_rsm
 from tests.mirror_frames import camera_at
@@ -153,6 +153,24 @@ def test_the_same_bits_on_any_number_of_threads():
 def test_a_scene_without_mirrors_shoots_none():
     frame = mirror_and_wall(LightKind.SUN, roughness=0.5)
     assert compute_rsm(frame, RsmParams(), Context(), 0).diagnostics["photons"] == 0
+
+
+@pytest.mark.parametrize("number", [3, 16, 17, 500])
+def test_the_search_finds_the_nearest_photons(number):
+    """Distances by the tree against all distances, in a flat cloud with a dense spot; half of it faces the other way."""
+    rng = np.random.default_rng(number)
+    found = make_photons(number)
+    found.position[:] = rng.random((number, 3)) * [1, 1, 0.01]
+    found.position[: number // 2] *= 0.1
+    found.normal[:, 2] = np.where(np.arange(number) % 2 > 0, 1, -1)
+    order, leaves = rng.permutation(number), 1 << max((number - 1) // LEAF, 0).bit_length()
+    boxes, most2 = _boxes_over(order, found, leaves), np.float32(9)
+    for at, k in enumerate(order):
+        best = np.full(COUNTED, most2)
+        actual = _nearest(at, order, boxes, leaves, found, best, np.empty(64, np.int64))
+        distance2 = ((found.position.astype(np.float64) - found.position[k]) ** 2).sum(1)
+        like = (found.normal[:, 2] == found.normal[k, 2]) & (np.arange(number) != k)
+        assert actual == pytest.approx(np.sort([*distance2[like], *[most2] * COUNTED])[COUNTED - 1], rel=1e-5)
 
 
 @pytest.mark.parametrize("photons", [1, 2, 9])
