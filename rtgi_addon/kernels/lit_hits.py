@@ -21,6 +21,7 @@ from .screen import HALF
 from .vec3 import ONE, ZERO, Vec3, add, begun, dot, f32, lifted, normalized_or, scaled, sub
 
 LEAST_REFLECTANCE = f32(1e-3)   # a surface that reflects less has no lobe
+SOFTENING = f32(0.5)        # of a reflecting lobe's width that goes to the highlights that it shows: 0.25 to 1 err alike
 
 
 class Gloss(NamedTuple):
@@ -94,6 +95,17 @@ def edge_fade(s, column, row, fade_px):
     t = min(min(column, f32(width) - column), min(row, f32(height) - row)) / fade_px
     t = min(max(t, ZERO), ONE)
     return t * t * (f32(3) - f32(2) * t)
+
+
+@device_jit
+def softened(roughness, receiver):
+    """Roughness at which a hit of `roughness` shows lamps to a ray of the lobe of a receiver's roughness.
+
+    A few rays of a wide lobe meet a sharp highlight as a few bright specks. Widening the highlight by a part of the lobe
+    adds little to what the lobe blurs anyway (Kaplanyan and Dachsbacher 2013, "Path Space Regularization").
+    """
+    own, other = roughness * roughness, SOFTENING * receiver * receiver
+    return math.sqrt(math.sqrt(own * own + other * other))
 
 
 @device_jit

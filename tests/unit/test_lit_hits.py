@@ -11,7 +11,7 @@ from rtgi_addon.core.frame import LightKind
 from rtgi_addon.core.techniques import DirectParams
 from rtgi_addon.kernels.brdf import albedo_table
 from rtgi_addon.kernels.bvh import STACK
-from rtgi_addon.kernels.lit_hits import gloss_of_lamps, light_of_lamps
+from rtgi_addon.kernels.lit_hits import gloss_of_lamps, light_of_lamps, softened
 from rtgi_addon.kernels.vec3 import f32, vector
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.direct import compute_direct
@@ -79,3 +79,11 @@ def test_other_directions_are_as_the_triangles_lit_anew(frame):
                          for s in (0.02, 0.06, 0.12)])
         # between a reflectance of a third and of twice the one towards the camera: it follows the angle, not the lobe
         assert (mine > anew[0]).all() and (mine < anew[2]).all()
+
+
+def test_highlights_widen_with_the_lobe_that_shows_them_and_a_mirror_shows_them_as_they_are():
+    assert softened(f32(0.2), f32(0)) == pytest.approx(0.2, rel=1e-6)
+    for own, receiver in ((0.02, 0.3), (0.2, 0.5), (0.9, 1.0)):
+        alpha = softened(f32(own), f32(receiver)) ** 2
+        # the squared widths add: the highlight's own and a quarter of the lobe's
+        assert alpha**2 == pytest.approx(own**4 + 0.25 * receiver**4, rel=1e-5)
