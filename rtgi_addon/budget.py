@@ -145,8 +145,13 @@ def within_budget(plan: Plan, settings: Settings, spent_ms: float, speed: float 
 
 
 def _is_as_measured(params: Params, step: Step) -> bool:
-    """Whether all parameters that the calibration does not vary are the defaults that it was measured with."""
-    return dataclasses.replace(params, **step.params) == dataclasses.replace(type(params)(), **step.params)
+    """Whether all parameters that it does not vary are the defaults that the calibration was measured with.
+
+    Those that tell what to capture have had their effect when a budget is shared out.
+    """
+    default = type(params)()
+    captured = {name: getattr(default, name) for name in params.for_capture()}
+    return dataclasses.replace(params, **captured, **step.params) == dataclasses.replace(default, **step.params)
 
 
 def _total(at: dict[str, int], times: dict[str, list[float]]) -> float:

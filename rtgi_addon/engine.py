@@ -260,7 +260,8 @@ class RTGIEngine(bpy.types.RenderEngine):
             light = self._lights[i]
             context.checkpoint(f"View of {light.name}", 0.1 + 0.3 * number / len(self._lights))
             cast = i in plan.cast_views
-            form = ViewFormat(planner.CAST_VIEW_TEXELS) if cast else views.format_of_views(planner.VIEW_TEXELS)
+            texels = min(plan.view_texels, planner.CAST_VIEW_TEXELS) if cast else plan.view_texels
+            form = ViewFormat(texels) if cast else views.format_of_views(texels)
             with stages("fit light views"), kernel_session(settings.threads):
                 light_camera = light_views.camera_of(light, frame, bvh, form)
             if light_camera is None:

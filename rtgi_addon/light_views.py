@@ -6,12 +6,15 @@ import math
 
 import numpy as np
 
-from .core.frame import Frame, GBuffer, Light, LightKind, LightView, Material
+from .core.frame import Frame, GBuffer, Light, LightKind, LightView
 from .core.radiometry import texel_flux
 from .core.transforms import Camera, Projection, ViewFormat
+from .kernels.brdf import albedo_table, mean_albedo_table
 from .kernels.bvh import Bvh
-from .kernels.pilot import cast_rays, lit_hits
+from .kernels.pilot import lit_hits
+from .kernels.scene_view import see_triangles
 from .kernels.vec3 import f32, vector
+from .passes.surroundings import surroundings_of
 
 PILOT_PIXELS, PILOT_RAYS = 2048, 12
 TRIM = 0.0015               # share of the pilot's points cut off at each edge of a sun's view
@@ -102,36 +105,19 @@ def clip_range_m(light: Light, camera: Camera, frame: Frame) -> tuple[float, flo
 
 def cast_view(light: Light, camera: Camera, frame: Frame, bvh: Bvh) -> GBuffer:
     """What a lamp sees, by rays through the triangles: geometric normals, colours as sampled at the corners."""
-    origin_vs, direction_vs = camera.rays_vs()
-    rotation = camera.world_from_view[:3, :3]
-    origin = (origin_vs.reshape(-1, 3) @ rotation.T + camera.position_ws).astype(np.float32)
-    direction = (direction_vs.reshape(-1, 3) @ rotation.T).astype(np.float32)
+    rotation, shape = camera.world_from_view[:3, :3].T, (camera.height_px, camera.width_px)
+    origin, direction = ((rays.reshape(-1, 3) @ rotation) for rays in camera.rays_vs())
     near, far = clip_range_m(light, camera, frame)
-    depth, slot, u, v = cast_rays(origin, direction, bvh, f32(near), f32(far))
-    hit = slot >= 0
-    triangle = bvh.source[np.where(hit, slot, 0)] if len(bvh.source) else np.zeros(len(slot), np.int32)
-    shape = (camera.height_px, camera.width_px)
-    position, normal = np.zeros((len(hit), 3), np.float32), np.tile(np.float32([0, 0, 1]), (len(hit), 1))
-    albedo, specular, emission = (np.zeros((len(hit), 3), np.float32) for _ in range(3))
-    roughness, f0 = np.ones(len(hit), np.float32), np.zeros(len(hit), np.float32)
-    if hit.any():
-        geometry, of = frame.geometry, triangle[hit]
-        position[hit] = origin[hit] + depth[hit, None] * direction[hit]
-        corners = geometry.corners_ws[of]
-        face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        face /= np.maximum(np.linalg.norm(face, axis=1, keepdims=True), 1e-30)
-        normal[hit] = np.where((face * direction[hit]).sum(1, keepdims=True) > 0, -face, face)
-        weight = np.stack([1 - u[hit] - v[hit], u[hit], v[hit]], 1)
-        # colours count what is not there of a surface as black, and a hit is on what is there
-        albedo[hit] = np.minimum((geometry.albedo[of] * weight[..., None]).sum(1) / geometry.coverage(of)[:, None], 1)
-        materials = frame.materials or (Material("none"),)
-        index = np.clip(geometry.material[of], 0, len(materials) - 1)
-        specular[hit] = np.array([np.divide(m.specular, max(m.alpha, 1e-3)) for m in materials], np.float32)[index]
-        roughness[hit] = np.array([m.roughness for m in materials], np.float32)[index]
-        f0[hit] = np.array([m.f0 for m in materials], np.float32)[index]
-    return GBuffer(depth.reshape(shape), position.reshape(*shape, 3), normal.reshape(*shape, 3),
-                   albedo.reshape(*shape, 3), specular.reshape(*shape, 3), roughness.reshape(shape),
-                   emission.reshape(*shape, 3), f0.reshape(shape))
+    number = len(origin)
+    depth, normal = np.full(number, np.inf, np.float32), np.tile(np.float32([0, 0, 1]), (number, 1))
+    position, albedo, specular, emission = (np.zeros((number, 3), np.float32) for _ in range(4))
+    roughness, f0 = np.ones(number, np.float32), np.zeros(number, np.float32)
+    see_triangles(number, (origin + camera.position_ws).astype(np.float32), direction.astype(np.float32), bvh,
+                  surroundings_of(frame, frame.geometry), albedo_table(frame.keeps_energy),
+                  mean_albedo_table(frame.keeps_energy), f32(near), f32(far), depth, position, normal, albedo, specular,
+                  roughness, f0)
+    return GBuffer(*(values.reshape(*shape, *values.shape[1:])
+                     for values in (depth, position, normal, albedo, specular, roughness, emission, f0)))
 
 
 def view_of(light_index: int, light: Light, camera: Camera, gbuffer: GBuffer) -> LightView:

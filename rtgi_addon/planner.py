@@ -18,10 +18,8 @@ from .passes.base import Technique, Transport
 from .passes.ssr import NEGLIGIBLE
 
 CYCLES_VIEWS = 4            # lamps whose view Cycles renders; further ones are cast through the triangles
-# texels of a lamp's view: twice what the gather keeps, since a view also holds what the lamp does not light; with as many
-# as the frame has pixels, views took a third of the frame and no error fell by more than 0.1 point
-VIEW_TEXELS = 131072
-CAST_VIEW_TEXELS = 20736    # of a view through the triangles
+CAST_VIEW_TEXELS = 20736    # of a view through the triangles, at most
+SHADOW_TEXELS = 32768       # of a view that serves as a shadow map alone
 
 
 @dataclass(frozen=True)
@@ -36,10 +34,14 @@ class SceneFacts:
 
 @dataclass(frozen=True)
 class CapturePlan:
-    """What to capture: light indices viewed by Cycles and cast through triangles, whether triangles are needed."""
+    """What to capture: light indices viewed by Cycles and cast through triangles, whether triangles are needed.
+
+    `view_texels`: of each view by Cycles; cast ones have no more.
+    """
 
     cycles_views: tuple[int, ...] = ()
     cast_views: tuple[int, ...] = ()
+    view_texels: int = SHADOW_TEXELS
     geometry: bool = False
     left_out: tuple[tuple[str, str], ...] = ()
 
@@ -83,7 +85,16 @@ def plan_capture(facts: SceneFacts, settings: Settings, centre_ws: np.ndarray, r
                          "light is followed through the triangles instead"))
     if not facts.has_glossy:
         left_out.append(("Glossy passes", "no material has a glossy lobe"))
-    return CapturePlan(tuple(sorted(cycles)), tuple(sorted(cast)), True, tuple(left_out))
+    return CapturePlan(tuple(sorted(cycles)), tuple(sorted(cast)), _view_texels(wants_views, settings), True,
+                       tuple(left_out))
+
+
+def _view_texels(wants_views: list[Technique], settings: Settings) -> int:
+    """Texels of a lamp's view: what the techniques ask for that look into it."""
+    wanted = [getattr(settings.params[t.name], "map_texels", SHADOW_TEXELS) for t in wants_views if t.name != "direct"]
+    if settings.use_auto:        # of those that could supply the bounce the first one will, see `_by_preference`
+        wanted = wanted[:1]
+    return max(wanted, default=SHADOW_TEXELS)
 
 
 def plan_frame(frame: Frame, settings: Settings, capture: CapturePlan) -> Plan:

@@ -64,7 +64,10 @@ def _grid(**fields: Sequence[Any]) -> list[dict[str, Any]]:
 
 
 def _of_presets(name: str) -> list[dict[str, Any]]:
-    return [PRESET_PARAMS[preset][name] for preset in PRESET_NAMES]
+    """The presets' settings but for what they tell to capture: every setting runs on the same frame."""
+    captured = TECHNIQUE_PARAMS[name].for_capture()
+    return [{field: value for field, value in PRESET_PARAMS[preset][name].items() if field not in captured}
+            for preset in PRESET_NAMES]
 
 
 _RAYS = _grid(lattice_px=(8, 8, 8, 4, 4, 4, 4, 2, 2, 2, 2), rays=(4, 8, 16, 8, 16, 24, 48, 8, 16, 32, 64))

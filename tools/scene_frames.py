@@ -28,7 +28,7 @@ JPEG_QUALITY = 88
 
 
 def captured(scene: Any, size: tuple[int, int], settings: Settings | None = None) -> tuple[Frame, pipeline.Result]:
-    """(frame, result) of one F12 by RTGI; without settings every technique may ask for what it needs."""
+    """(frame, result) of one F12 by RTGI; without settings the frame has what every technique would ask for."""
     kept = []
 
     def run_and_keep(frame, *args, **kwargs):
@@ -37,10 +37,17 @@ def captured(scene: Any, size: tuple[int, int], settings: Settings | None = None
 
     run, pipeline.run = pipeline.run, run_and_keep
     try:
-        result, _ = blender.render_rtgi(scene, settings or default_settings(), size)
+        result, _ = blender.render_rtgi(scene, settings or _asking_for_all(), size)
     finally:
         pipeline.run = run
     return kept[-1], result
+
+
+def _asking_for_all() -> Settings:
+    """The default settings, with views of lamps that serve every technique."""
+    settings = default_settings()
+    most = max(getattr(params, "map_texels", 0) for params in settings.params.values())
+    return settings.with_params("rsm", map_texels=most)
 
 
 @contextlib.contextmanager

@@ -13,15 +13,18 @@ from ..errors import InputError
 
 
 def param(default: Any, doc: str, *, low: float | None = None, high: float | None = None, soft_high: float | None = None,
-          unit: str = "", choices: tuple[tuple[str, str, str], ...] = (), only: dict[str, Any] | None = None) -> Any:
+          unit: str = "", choices: tuple[tuple[str, str, str], ...] = (), only: dict[str, Any] | None = None,
+          is_for_capture: bool = False) -> Any:
     """A dataclass field with its range and meaning.
 
     `low` and `high` are hard limits, `soft_high` is where a slider ends; `unit` is one of "", "m", "px", "rad";
     `choices` are (identifier, label, description) for a text parameter. `only` says when the field is read at all: other
     fields of the same dataclass and the value, or tuple of values, that they must have; a panel hides it else.
+    `is_for_capture`: it tells what to capture, and is not read afterwards.
     """
     return dataclasses.field(default=default, metadata={
-        "doc": doc, "low": low, "high": high, "soft_high": soft_high, "unit": unit, "choices": choices, "only": only or {}})
+        "doc": doc, "low": low, "high": high, "soft_high": soft_high, "unit": unit, "choices": choices, "only": only or {},
+        "is_for_capture": is_for_capture})
 
 
 def is_read(field: dataclasses.Field, holder: Any) -> bool:
@@ -33,6 +36,11 @@ def is_read(field: dataclasses.Field, holder: Any) -> bool:
 @dataclass(frozen=True)
 class Params:
     """Base of every technique's parameters."""
+
+    @classmethod
+    def for_capture(cls) -> tuple[str, ...]:
+        """Names of the fields that tell what to capture."""
+        return tuple(f.name for f in dataclasses.fields(cls) if f.metadata["is_for_capture"])
 
     def validate(self, where: str) -> None:
         """Raise InputError naming the first field outside its range; `where` is the technique's name."""

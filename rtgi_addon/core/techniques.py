@@ -90,6 +90,9 @@ class RsmParams(Params):
     photons: int = param(
         65536, "Photons that follow lamps' light off mirror-like surfaces, for the caustics that these throw; "
         "more make them sharper, 0 blurs them", low=0, high=1 << 24, soft_high=1 << 20, only={"method": "VISIBLE"})
+    map_texels: int = param(
+        32768, "Texels of each lamp's view; light of near ones is looked up in the triangles, so that few will do, but "
+        "for the methods without visibility", low=256, high=1 << 24, soft_high=1 << 20, is_for_capture=True)
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,9 @@ class VxgiParams(Params):
         False, "Cones that leave the voxels bring the world's light, in place of the rays of World Light")
     glossy: bool = param(
         False, "Glossy pixels take a cone around their mirror direction; reflections are as coarse as the voxels")
+    map_texels: int = param(
+        131072, "Texels of each lamp's view; with fewer, voxels that a lamp lights get none", low=256, high=1 << 24,
+        soft_high=1 << 20, is_for_capture=True)
     pictures: bool = param(
         False, "Also draw the voxels as the camera sees them, for a look at what the technique sees: views of Last Render, "
                "and layers of --passes")
@@ -166,6 +172,9 @@ class LpvParams(Params):
     damping: bool = param(
         True, "Darken light that changes against its direction across a surface: it came through. As published only",
         only={"mode": "PAPER"})
+    map_texels: int = param(
+        65536, "Texels of each lamp's view; far more than cells that a lamp lights add nothing", low=256, high=1 << 24,
+        soft_high=1 << 20, is_for_capture=True)
 
 
 @dataclass(frozen=True)
@@ -342,7 +351,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 4, "rays": 16},
         "emission": {"lattice_px": 8, "rays": 16, "clusters": 256},
-        "rsm": {"lattice_px": 8, "rays": 16, "clusters": 512},
+        "rsm": {"lattice_px": 8, "rays": 16, "clusters": 512, "map_texels": 16384},
         "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
         "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
         "hbao": {"slices": 2, "steps": 8, "lattice_px": 2, "overscan": 0.0},
@@ -355,7 +364,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 16},
         "world": {"lattice_px": 2, "rays": 16},
         "emission": {"lattice_px": 2, "rays": 8, "clusters": 512},
-        "rsm": {"lattice_px": 4, "rays": 16, "clusters": 512},
+        "rsm": {"lattice_px": 4, "rays": 16, "clusters": 512, "map_texels": 32768},
         "vxgi": {"resolution": 128, "lattice_px": 4, "cones": 32},
         "lpv": {"resolution": 32, "directions": 4, "lattice_px": 6},
         "hbao": {"slices": 2, "steps": 12, "lattice_px": 1, "overscan": 0.0},
@@ -368,7 +377,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "direct": {"soft_shadow_rays": 64},
         "world": {"lattice_px": 2, "rays": 32},
         "emission": {"lattice_px": 2, "rays": 32, "clusters": 512},
-        "rsm": {"lattice_px": 2, "rays": 32, "clusters": 512},
+        "rsm": {"lattice_px": 2, "rays": 32, "clusters": 512, "map_texels": 65536},
         "vxgi": {"resolution": 256, "lattice_px": 2, "cones": 64},
         "lpv": {"resolution": 48, "directions": 6, "lattice_px": 3},
         "hbao": {"slices": 4, "steps": 32, "lattice_px": 1, "overscan": 0.15},

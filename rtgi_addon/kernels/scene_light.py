@@ -15,7 +15,7 @@ from .brdf import lobe_albedos
 from .bvh import STACK, closest_hit, triangle_normal
 from .depth_pyramid import height_at, plane_slopes
 from .jit import borrowed, device_jit, pixel_jit
-from .lit_hits import edge_fade, gloss_of_lamps, light_of_lamps, lit_there
+from .lit_hits import edge_fade, gloss_of_lamps, light_of_lamps, lit_there, softened
 from .reflect import ASK
 from .sampling import cosine_hemisphere, uniform
 from .screen import is_inside, to_screen, turn_to_view, view_vector
@@ -44,7 +44,7 @@ class Surroundings(NamedTuple):
 
 
 @device_jit
-def _colours_at(around, albedos, t, a, b, cosine):
+def colours_at(around, albedos, t, a, b, cosine):
     """(albedo, Glossy Color towards a direction at `cosine` to the normal, roughness, F0) of triangle t at (a, b) in it."""
     c, at = ONE - a - b, around.albedo[t]
     albedo = Vec3(c * at[0, 0] + a * at[1, 0] + b * at[2, 0], c * at[0, 1] + a * at[1, 1] + b * at[2, 1],
@@ -66,15 +66,14 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
         r = asked[k]
         pixel = index[r // samples]
         q, d = pixel * samples + r % samples, load(rays.direction, r)
-        start = load(rays.start, r)
+        start, receiver = load(rays.start, r), gloss.roughness[pixel // width, pixel % width]
         t, slot, a, b = rules.reach_m, -1, ZERO, ZERO
         if rays.answer[r] == ASK:
             t, slot, a, b = closest_hit(bvh, stack, start, d, rules.reach_m)
         for c in range(6):
             light[c] = ZERO
         if slot < 0:
-            is_blurred = gloss.roughness[pixel // width, pixel % width] > BLURRED
-            sky = around.blurred_sky if is_blurred else around.sky
+            sky = around.blurred_sky if receiver > BLURRED else around.sky
             row, column = sky_texel(d, sky.shape[0], sky.shape[1])
             for c in range(3):
                 light[3 + c] = sky[row, column, c]
@@ -93,17 +92,17 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                     i, j = int(down), int(across)
                     sent = gloss_of_lamps(
                         lights, p, load_pixel(screen.normal_ws, i, j), scaled(d, -ONE), view_vector(screen, p),
-                        load_pixel(gloss.specular, i, j), gloss.roughness[i, j], gloss.f0[i, j], gloss.irradiance[i, j],
-                        gloss.albedos,
+                        load_pixel(gloss.specular, i, j), softened(gloss.roughness[i, j], receiver), gloss.f0[i, j],
+                        gloss.irradiance[i, j], gloss.albedos,
                         uniform(q, 11, seed), uniform(q, 12, seed))
                     for c in range(3):
                         light[c] += sent[c]
             if share < ONE:
                 source = bvh.source[slot]
-                albedo, specular, roughness, f0 = _colours_at(around, gloss.albedos, source, a, b, -dot(n, d))
-                sent = light_of_lamps(bvh, lights, stack, p, n, scaled(d, -ONE), albedo, specular, roughness, f0,
-                                      gloss.albedos, rules.offset_m, uniform(q, 11, seed), uniform(q, 12, seed),
-                                      uniform(q, 13, seed))
+                albedo, specular, roughness, f0 = colours_at(around, gloss.albedos, source, a, b, -dot(n, d))
+                sent = light_of_lamps(bvh, lights, stack, p, n, scaled(d, -ONE), albedo, specular,
+                                      softened(roughness, receiver), f0, gloss.albedos, rules.offset_m,
+                                      uniform(q, 11, seed), uniform(q, 12, seed), uniform(q, 13, seed))
                 other[0], other[1], other[2] = sent.x, sent.y, sent.z
                 if around.lights_up:
                     tangent, bitangent = tangent_frame(n)

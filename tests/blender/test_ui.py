@@ -130,9 +130,10 @@ def test_rsm_panel_shows_only_what_the_method_reads(bpy_session, empty_scene, no
     from rtgi_addon.ui.panels import TECHNIQUE_PANELS
 
     panel = TECHNIQUE_PANELS["rsm"]
-    assert drawn_by(bpy_session, panel) == ["method", "lattice_px", "rays", "clusters", "glossy_texels", "photons"]
+    assert drawn_by(bpy_session, panel) == ["method", "lattice_px", "rays", "clusters", "glossy_texels", "photons",
+                                              "map_texels"]
     empty_scene.rtgi.rsm.method = "PAPER"
-    assert drawn_by(bpy_session, panel) == ["method", "samples", "radius", "weighting"]
+    assert drawn_by(bpy_session, panel) == ["method", "samples", "radius", "weighting", "map_texels"]
 
 
 def test_every_parameter_is_shown_under_some_choice(bpy_session, empty_scene, no_render):

@@ -62,3 +62,18 @@ def test_two_owners_of_one_transport_are_refused():
 def test_light_that_was_taken_over_counts_once():
     taken = _light(3, takes_over=frozenset({Transport.BOUNCE_GLOSSY}))
     assert merge([("a", _light(1)), ("b", taken)])[Transport.BOUNCE_GLOSSY].max() == 3
+
+
+def test_lamps_views_hold_what_the_techniques_that_look_into_them_ask_for():
+    facts = planner.SceneFacts((), "black", False, False)
+
+    def texels(settings):
+        return planner.plan_capture(facts, settings, np.zeros(3), 1.0).view_texels
+
+    auto = default_settings().with_params("rsm", map_texels=1000).with_params("vxgi", map_texels=5000)
+    assert texels(auto) == 1000                  # in Auto it is RSM that brings the bounce, and the others do not run
+    without = dataclasses.replace(auto, enabled={**auto.enabled, "rsm": False})
+    assert texels(without) == 5000
+    both = default_settings(techniques=["rsm", "vxgi"]).with_params("rsm", map_texels=1000)
+    assert texels(both.with_params("vxgi", map_texels=5000)) == 5000
+    assert texels(default_settings(techniques=["ssr"])) == planner.SHADOW_TEXELS
