@@ -2,7 +2,7 @@
 
 Where the camera sees the hit, the picture tells its light. Elsewhere the triangle's own colours are lit: one shadow ray
 goes to a place on a lamp drawn by what the lamps would give, and one ray, drawn by the cosine, into the world and to
-emissive surfaces.
+emissive surfaces. In both cases one more ray, drawn from the hit's own lobe, tells what of these it mirrors.
 """
 
 from __future__ import annotations
@@ -11,18 +11,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import lobe_albedos
+from .brdf import fit_lobe, fresnel, lobe_albedos, sample_lobe
 from .bvh import STACK, closest_hit, triangle_normal
 from .depth_pyramid import height_at, plane_slopes
 from .jit import borrowed, device_jit, pixel_jit
-from .lit_hits import edge_fade, gloss_of_lamps, light_of_lamps, lit_there, softened
+from .lamps import LEAST_ALPHA
+from .lit_hits import LEAST_REFLECTANCE, edge_fade, gloss_of_lamps, light_of_lamps, lit_there, softened
 from .reflect import ASK
-from .sampling import cosine_hemisphere, uniform
+from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .screen import is_inside, to_screen, turn_to_view, view_vector
 from .shadow import ORTHOGRAPHIC
 from .sky import sky_texel
-from .vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
+from .vec3 import (
+    ONE,
+    ZERO,
+    Vec3,
+    add,
+    along,
+    begun,
+    dot,
+    f32,
+    lifted,
+    load,
+    load_pixel,
+    normalized_or,
+    scaled,
+    tangent_frame,
+    to_world,
+)
 
+SHARP = f32(0.03)           # alpha of a lobe below which each pixel is traced by itself, by few rays; a hit is lit by
+SHARP_LOOKUPS = 4           # this many shadow rays then
+DIM = f32(0.25)             # Glossy Color below which a hit's lobe asks for what shines by a share of the rays
 BLURRED = f32(0.3)          # roughness from which the world's blurred map, 2.8 degrees a texel, serves a ray
 
 
@@ -56,12 +76,48 @@ def colours_at(around, albedos, t, a, b, cosine):
     return albedo, scaled(Vec3(substance[0], substance[1], substance[2]), reflectance), substance[3], substance[4]
 
 
+@device_jit
+def _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m):
+    """Radiance of the world or of an emissive surface that p, of normal n, sees in direction d."""
+    _, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
+    if slot >= 0:
+        return load(around.emission, bvh.source[slot])
+    row, column = sky_texel(d, sky.shape[0], sky.shape[1])
+    return load_pixel(sky, row, column)
+
+
+@device_jit
+def _from_above(bvh, around, stack, p, n, albedo, offset_m, reach_m, u, v):
+    """Radiance that a matt surface sends back of what shines, by one ray."""
+    tangent, bitangent = tangent_frame(n)
+    d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
+    given = _shines(bvh, around, stack, p, n, d, around.blurred_sky, offset_m, reach_m)
+    return Vec3(given.x * albedo.x, given.y * albedo.y, given.z * albedo.z)
+
+
+@device_jit
+def _from_lobe(bvh, around, stack, p, n, towards, specular, roughness, f0, albedos, offset_m, reach_m, u, v, pick):
+    """Radiance that a glossy lobe sends `towards` of what shines, by one ray; of dim lobes by fewer: `pick` decides."""
+    reflectance, cosine = max(specular.x, max(specular.y, specular.z)), dot(n, towards)
+    chance = min(reflectance * f32(1 / DIM), ONE)
+    if not reflectance > LEAST_REFLECTANCE or not cosine > ZERO or pick >= chance:
+        return Vec3(ZERO, ZERO, ZERO)
+    alpha = roughness * roughness
+    d, weight = sample_lobe(n, towards, alpha, u, v)
+    if alpha >= LEAST_ALPHA:
+        f0, gain = fit_lobe(reflectance, cosine, alpha, albedos, f0)
+        weight *= gain * fresnel(max(dot(normalized_or(add(towards, d), n), towards), ZERO), f0) / fresnel(cosine, f0)
+    sky, weight = around.blurred_sky if roughness > BLURRED else around.sky, weight / chance
+    given = _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m)
+    return Vec3(weight * given.x * specular.x, weight * given.y * specular.y, weight * given.z * specular.z)
+
+
 @pixel_jit
 def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, bvh, around, rules, seed, rays):
     """Answer the rays `asked` (K,) of `rays`, those of `draw_rays`: what the picture did not give is added."""
     screen, gloss, lights, bvh, around, rules, rays = borrowed((screen, gloss, lights, bvh, around, rules, rays))
     width = screen.depth.shape[1]
-    stack, light, other = np.empty(STACK, np.int32), np.empty(6, np.float32), np.empty(3, np.float32)
+    stack, light = np.empty(STACK, np.int32), np.empty(6, np.float32)
     for k in range(begin, end):
         r = asked[k]
         pixel = index[r // samples]
@@ -97,25 +153,30 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                         uniform(q, 11, seed), uniform(q, 12, seed))
                     for c in range(3):
                         light[c] += sent[c]
-            if share < ONE:
-                source = bvh.source[slot]
-                albedo, specular, roughness, f0 = colours_at(around, gloss.albedos, source, a, b, -dot(n, d))
-                sent = light_of_lamps(bvh, lights, stack, p, n, scaled(d, -ONE), albedo, specular,
-                                      softened(roughness, receiver), f0, gloss.albedos, rules.offset_m,
-                                      uniform(q, 11, seed), uniform(q, 12, seed), uniform(q, 13, seed))
-                other[0], other[1], other[2] = sent.x, sent.y, sent.z
+            source, to_ray = bvh.source[slot], scaled(d, -ONE)
+            albedo, specular, roughness, f0 = colours_at(around, gloss.albedos, source, a, b, dot(n, to_ray))
+            roughness = softened(roughness, receiver)
+            matt, glossy = Vec3(ZERO, ZERO, ZERO), Vec3(ZERO, ZERO, ZERO)
+            # nothing is averaged over what a mirror shows, so that it shows the noise of half shadows
+            lookups = SHARP_LOOKUPS if receiver * receiver < SHARP else 1
+            for look in range(lookups):
+                if share < ONE:
+                    u, v = r2_sequence(look, uniform(q, 11, seed), uniform(q, 12, seed))
+                    pick = (uniform(q, 13, seed) + f32(look)) / f32(lookups)
+                    matt = add(matt, light_of_lamps(bvh, lights, stack, p, n, to_ray, albedo, specular, roughness, f0,
+                                                    gloss.albedos, rules.offset_m, u, v, pick))
                 if around.lights_up:
-                    tangent, bitangent = tangent_frame(n)
-                    up = to_world(cosine_hemisphere(uniform(q, 14, seed), uniform(q, 15, seed)), tangent, bitangent, n)
-                    begin_up = begun(lifted(p, n, rules.offset_m), up, rules.offset_m)
-                    _, above, _, _ = closest_hit(bvh, stack, begin_up, up, rules.reach_m)
-                    row, column = sky_texel(up, around.blurred_sky.shape[0], around.blurred_sky.shape[1])
-                    for c in range(3):
-                        given = around.emission[bvh.source[above], c] if above >= 0 else around.blurred_sky[row, column, c]
-                        other[c] += given * (albedo.x if c == 0 else (albedo.y if c == 1 else albedo.z))
-                for c in range(3):
-                    light[c] = share * light[c] + (ONE - share) * other[c]
-                    light[3 + c] = share * light[3 + c] + (ONE - share) * around.emission[source, c]
+                    u, v = r2_sequence(look, uniform(q, 14, seed), uniform(q, 15, seed))
+                    if share < ONE:
+                        matt = add(matt, _from_above(bvh, around, stack, p, n, albedo, rules.offset_m, rules.reach_m, u, v))
+                    pick = (uniform(q, 16, seed) + f32(look)) / f32(lookups)
+                    glossy = add(glossy, _from_lobe(bvh, around, stack, p, n, to_ray, specular, roughness, f0, gloss.albedos,
+                                                    rules.offset_m, rules.reach_m, u, v, pick))
+            matt, glossy = scaled(matt, (ONE - share) / f32(lookups)), scaled(glossy, ONE / f32(lookups))
+            for c in range(3):
+                given = (matt.x + glossy.x) if c == 0 else ((matt.y + glossy.y) if c == 1 else (matt.z + glossy.z))
+                light[c] = share * light[c] + given
+                light[3 + c] = share * light[3 + c] + (ONE - share) * around.emission[source, c]
         known = rays.share[r]
         for c in range(6):
             rays.light[r, c] = known * rays.light[r, c] + (ONE - known) * light[c]

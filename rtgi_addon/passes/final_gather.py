@@ -64,7 +64,8 @@ def compute_final_gather(frame: Frame, params: FinalGatherParams, context: Conte
     leaving = leave_surfaces(whole, context, (Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE))
     around = surroundings_of(frame, geometry)
     specular = np.array([material.specular for material in frame.materials] or [(0, 0, 0)], np.float32)[around.material]
-    around = around._replace(albedo=np.minimum(around.albedo + specular[:, None], 1))
+    around = around._replace(albedo=np.minimum(around.albedo + specular[:, None], 1),
+                             substance=around.substance * np.float32([0, 0, 0, 1, 1]))
     nothing = np.zeros(g.shape, np.float32)
     gloss = Gloss(leaving, black, nothing, black, g.roughness, nothing, albedo_table(frame.keeps_energy))
     rules = Rules(0, 1.0, True, True, f32(0), f32(frame.ray_offset_m), f32(reach_m))

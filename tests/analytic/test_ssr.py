@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Geometry, World
+from rtgi_addon.core.frame import Geometry, Material, World
 from rtgi_addon.core.synthetic import cast_view, make_room_frame, nearest_hit
 from rtgi_addon.core.techniques import SsrParams
 from rtgi_addon.core.transforms import Camera, Projection
@@ -184,3 +184,44 @@ def test_mirror_in_a_room_equals_rays_through_its_triangles():
     error = np.abs(got[floor][inside] - expected).sum(-1)
     # nearest pixels against interpolated ones: shadow edges and creases differ, nothing else
     assert np.median(error) < 0.02 * expected.sum(-1).mean() and error.mean() < 0.1 * expected.sum(-1).mean()
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.2, 0.5])
+def test_mirror_in_a_mirror_shows_the_world(roughness):
+    # a mirror floor before a wide, high metal wall under an even world: whatever the wall's lobe, what it turns upwards
+    # is the world's radiance, and what it turns downwards meets the floor, which sends no light of its own
+    camera = camera_at((0, -2, 1.0), (0, 1, 0.0), 40, 30)
+    meshes = (quad((0, 0, 0), 30, 30), wall((-200, 200), 3.0, (0, 200)))
+    geometry = geometry_of(*meshes)
+    geometry = dataclasses.replace(geometry, material=np.repeat(np.int32([0, 1]), [len(mesh) for mesh in meshes]),
+                                   albedo=np.zeros_like(geometry.albedo))
+    materials = (Material("floor", (0, 0, 0), (1, 1, 1), 0.0), Material("wall", (0, 0, 0), (1, 1, 1), roughness))
+    frame = dataclasses.replace(scene_frame(camera, geometry, materials=materials),
+                                world=World(np.full((1, 1, 3), 2.0, np.float32)))
+    floor = on_floor(frame)
+    light = compute_ssr(frame, SsrParams(), Context(), 0).light[Transport.BOUNCE_GLOSSY][floor]
+    if roughness == 0:
+        np.testing.assert_allclose(light, 2.0, rtol=1e-4)        # one ray each, and float32
+    else:
+        # what the widest lobe turns downwards is less than half of it
+        assert (0.55 if roughness > 0.3 else 0.95) < light.mean() / 2 < 1.01
+
+
+def test_dim_lobes_bring_the_world_in_the_mean_by_fewer_rays():
+    camera = camera_at((0, -2, 1.0), (0, 1, 0.0), 120, 90)
+    meshes = (quad((0, 0, 0), 30, 30), wall((-200, 200), 3.0, (0, 200)))
+    geometry = geometry_of(*meshes)
+    geometry = dataclasses.replace(geometry, material=np.repeat(np.int32([0, 1]), [len(mesh) for mesh in meshes]),
+                                   albedo=np.zeros_like(geometry.albedo))
+    f0, world = 0.06, World(np.ones((1, 1, 3), np.float32))
+    materials = (Material("floor", (0, 0, 0), (1, 1, 1), 0.0), Material("wall", (0, 0, 0), (f0, f0, f0), 0.1, f0=f0))
+    frame = dataclasses.replace(scene_frame(camera, geometry, materials=materials), world=world)
+    floor = on_floor(frame)
+    light = compute_ssr(frame, SsrParams(), Context(), 0).light[Transport.BOUNCE_GLOSSY][floor].mean(-1)
+    d = frame.gbuffer.position_ws[floor].astype(np.float64) - camera.position_ws
+    cosine = d[:, 1] / np.linalg.norm(d, axis=1)     # of the ray and the wall
+    # Schlick's reflectance of a nearly sharp lobe, to the table's few percent and the scatter of 1 in 2 rays
+    # `specular` is the material's mean over all directions, in which the rise towards grazing has its share
+    mean_rise = 2 / 42                               # of 2 (1 - c)^5 c over the cosines
+    expected = (f0 + (1 - f0) * (1 - cosine) ** 5) * f0 / (f0 + (1 - f0) * mean_rise)
+    assert light.mean() == pytest.approx(expected.mean(), rel=0.1)
