@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from .fastmath import HALF_PI, PI, fast_atan2, fast_sin, fraction
-from .jit import borrowed, device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit, select
 from .octahedron import table_at
 from .sampling import dither, near_weight, place_id, r2_sequence, uniform
 from .screen import TINY, is_inside, point_vs, to_screen, to_viewer_vs, turn_to_view, turn_to_world
@@ -267,15 +267,15 @@ def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
         more = place + min(HALF * since * abs(w[_SLOPE + x]), MOST_MORE) * (ONE if w[_SLOPE + x] > ZERO else -ONE)
         between = min(max(more, ZERO), ONE) if ends else between
         shift = fraction(w[_SHIFT + x] + f32(k) * SILVER)
-        w[_FROM + x] = f32(SECTORS) * place + shift if ends | (is_tap & is_sheet) else ZERO
-        w[_BETWEEN + x] = f32(SECTORS) * between + shift if ends | (is_tap & is_sheet) else ZERO
-        w[_BEGIN + x] = f32(SECTORS) * (between if is_sheet else behind) + shift if is_tap else ZERO
-        w[_TO + x] = f32(SECTORS) * front + shift if is_tap else ZERO
-        is_lit = is_tap & is_facing
-        w[_SHARE + x] = near_weight(d2, fade) if is_lit else ZERO
-        w[_SHARE_LAST + x] = near_weight(dot(d_last, d_last), fade) if (ends | is_sheet) & was_lit else ZERO
-        w[_SLOPE + x] = ((front - place) / max(since, HALF) if is_sheet else ZERO) if is_tap else w[_SLOPE + x]
-        w[_R_TAP + x] = r if is_tap else w[_R_TAP + x]
+        joins, is_lit = ends | (is_tap & is_sheet), is_tap & is_facing
+        w[_FROM + x] = select(joins, f32(SECTORS) * place + shift, ZERO)
+        w[_BETWEEN + x] = select(joins, f32(SECTORS) * between + shift, ZERO)
+        w[_BEGIN + x] = select(is_tap, f32(SECTORS) * select(is_sheet, between, behind) + shift, ZERO)
+        w[_TO + x] = select(is_tap, f32(SECTORS) * front + shift, ZERO)
+        w[_SHARE + x] = select(is_lit, near_weight(d2, fade), ZERO)
+        w[_SHARE_LAST + x] = select((ends | is_sheet) & was_lit, near_weight(dot(d_last, d_last), fade), ZERO)
+        w[_SLOPE + x] = select(is_tap, select(is_sheet, (front - place) / max(since, HALF), ZERO), w[_SLOPE + x])
+        w[_R_TAP + x] = select(is_tap, r, w[_R_TAP + x])
         c[_LIGHT + x], c[_LIGHT_LAST + x] = pixel, pixel_last
         # the next tap: between, at the far end of the gap, or a step on
         is_short = takes & goes_on & (r < r_far)
@@ -283,20 +283,21 @@ def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
         is_coarse = takes & (not is_short)
         is_done = is_coarse & (r >= r_coarse)
         on = w[_FIRST + x] + ONE + (ONE - todo) / f32(steps)
-        coarse = (min(ONE + (reach - ONE) * on * on, reach) if todo > ONE else reach) if is_done else r_coarse
-        r_next = coarse if is_coarse else (HALF * (r_last + r) if splits else (HALF * (r + r_far) if is_deeper else r_far))
-        w[_Q + x], w[_Q + LANES + x] = q.x if is_tap else q_last.x, q.y if is_tap else q_last.y
-        w[_Q + 2 * LANES + x] = q.z if is_tap else q_last.z
-        w[_N + x], w[_N + LANES + x] = n.x if is_tap else n_last.x, n.y if is_tap else n_last.y
-        w[_N + 2 * LANES + x] = n.z if is_tap else n_last.z
-        c[_PIXEL_LAST + x] = pixel if is_tap else pixel_last
-        w[_PLACE + x] = front if is_tap else w[_PLACE + x]
-        w[_LIT + x] = ONE if is_lit | ((not is_tap) & was_lit) else ZERO
-        w[_HAS + x] = ONE if is_tap | ((not takes) & has) | is_same else ZERO
-        w[_TODO + x] = todo - ONE if is_done else todo
-        w[_R_COARSE + x], w[_R_LAST + x], w[_R + x] = coarse, r if takes else r_last, r_next
-        w[_R_FAR + x] = r if splits else (ZERO if is_coarse else r_far)
-        w[_SPLIT + x] = ZERO if is_coarse else (split + ONE if splits | is_deeper else SPLITS)
+        coarse = select(is_done, select(todo > ONE, min(ONE + (reach - ONE) * on * on, reach), reach), r_coarse)
+        halved = HALF * (r + select(splits, r_last, r_far))
+        r_next = select(is_coarse, coarse, select(splits | is_deeper, halved, r_far))
+        w[_Q + x], w[_Q + LANES + x] = select(is_tap, q.x, q_last.x), select(is_tap, q.y, q_last.y)
+        w[_Q + 2 * LANES + x] = select(is_tap, q.z, q_last.z)
+        w[_N + x], w[_N + LANES + x] = select(is_tap, n.x, n_last.x), select(is_tap, n.y, n_last.y)
+        w[_N + 2 * LANES + x] = select(is_tap, n.z, n_last.z)
+        c[_PIXEL_LAST + x] = select(is_tap, pixel, pixel_last)
+        w[_PLACE + x] = select(is_tap, front, w[_PLACE + x])
+        w[_LIT + x] = select(is_lit | ((not is_tap) & was_lit), ONE, ZERO)
+        w[_HAS + x] = select(is_tap | ((not takes) & has) | is_same, ONE, ZERO)
+        w[_TODO + x] = select(is_done, todo - ONE, todo)
+        w[_R_COARSE + x], w[_R_LAST + x], w[_R + x] = coarse, select(takes, r, r_last), r_next
+        w[_R_FAR + x] = select(splits, r, select(is_coarse, ZERO, r_far))
+        w[_SPLIT + x] = select(is_coarse, ZERO, select(splits | is_deeper, split + ONE, SPLITS))
 
 
 @device_jit
