@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from .fastmath import HALF_PI, PI, fast_atan2, fast_sin, fraction
-from .jit import borrowed, device_jit, pixel_jit, select
+from .jit import borrowed, device_jit, inline_jit, pixel_jit, prefetch, select
 from .octahedron import table_at
 from .sampling import dither, near_weight, place_id, r2_sequence, uniform
 from .screen import TINY, is_inside, point_vs, to_screen, to_viewer_vs, turn_to_view, turn_to_world
@@ -185,9 +185,9 @@ def _begin_side(s, w, c, way, k, slices, radius, steps):
         c[_PIXEL_LAST + x] = c[_SELF + x]
 
 
-@device_jit
-def _tap(s, table, w, c, way):
-    """Rows of the pixel that each walk has come to, and what it shows."""
+@inline_jit
+def _aim(s, table, w, c, way):
+    """Rows of the pixel that each walk has come to, which the memory is told of before `_tap` asks for it."""
     height, width = f32(s.depth.shape[0]), f32(s.depth.shape[1])
     for x in range(LANES):
         # the order of min and max turns NaN into 0
@@ -196,12 +196,19 @@ def _tap(s, table, w, c, way):
         w[_HIT_ROW + x] = f32(np.int32(max(ZERO, min(w[_ROW + x] + w[_ROWS + x] * px, height - ONE))))
         c[_PIXEL + x] = np.int32(w[_HIT_ROW + x]) * np.int32(s.depth.shape[1]) + np.int32(w[_HIT_COLUMN + x])
     for x in range(LANES):
-        m = c[_PIXEL + x]
+        prefetch(table, table.shape[1] * np.uint32(c[_PIXEL + x]))
+
+
+@inline_jit
+def _tap(table, w, c):
+    """Rows of what the pixel shows that each walk has come to."""
+    for x in range(LANES):
+        m = np.uint32(c[_PIXEL + x])
         w[_TAP + x], w[_TAP + LANES + x] = table[m, 0], table[m, 1]
         w[_TAP + 2 * LANES + x], w[_TAP + 3 * LANES + x] = table[m, 2], table[m, 3]
 
 
-@device_jit
+@inline_jit
 def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
     """Take or refuse each walk's tap, note the sectors that it covers, and go on to the next; `left` taps remain.
 
@@ -306,7 +313,7 @@ def _bits_between(a, b):
     return bits_below(np.uint32(a)) ^ bits_below(np.uint32(b))
 
 
-@device_jit
+@inline_jit
 def _cover(w, c, covered, radiance):
     """Give each lane's newly covered sectors the radiance of the taps that cover them; True while a walk goes on."""
     goes_on = False
@@ -394,11 +401,13 @@ def gather_sectors(begin, end, s, table, ids, slots, radiance, sky, radius, thic
             for half in range(2):
                 way = ONE if half == 0 else -ONE
                 _begin_side(s, w, c, way, k, slices, radius, steps)
+                _aim(s, table, w, c, way)
                 left, goes_on = TAPS_A_STEP * steps, True
                 while goes_on and left > 0:
                     left -= 1
-                    _tap(s, table, w, c, way)
+                    _tap(table, w, c)
                     _look(s, w, c, way, k, steps, radius, thickness, fade, left)
+                    _aim(s, table, w, c, way)
                     goes_on = _cover(w, c, covered, radiance)
             _add_sky(s, w, sky, covered, k)
         scale = PI / f32(SECTORS * slices)
