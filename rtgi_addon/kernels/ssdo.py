@@ -68,8 +68,9 @@ TAPS_A_STEP = 3             # taps in all are this many times the steps, whateve
  _OPEN_BLUE, _WHOLE_RED, _WHOLE_GREEN, _WHOLE_BLUE) = (
     LANES * k for k in (0, 3, 6, 9, 12, 19, 22, 25, *range(29, 69)))
 _ROW_COUNT = 69
-# of the scratch array of integers: pixels of the lane itself, of its tap and of the taps whose light is taken
-_SELF, _PIXEL, _PIXEL_LAST, _LIGHT, _LIGHT_LAST = (LANES * k for k in range(5))
+# of the scratch array of integers: pixels of the lane itself, of its tap and of the taps whose light is taken; lanes that
+# take any
+_SELF, _PIXEL, _PIXEL_LAST, _LIGHT, _LIGHT_LAST, _LISTED = (LANES * k for k in range(6))
 
 
 @device_jit
@@ -252,21 +253,20 @@ def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
         splits = is_active & (not goes_on) & (r - r_last > nearest) & may_split
         takes = is_active & (not splits)
         is_tap = takes & is_there
-        # the sectors from the tap before to this one, or from its own rear; on a sheet the two taps share them where the
-        # middle of the step would be seen: halves of the angle would favour the farther one
         v, b = into_slice(a, viewer, side, normal, d)
         front = share_below(a, v, b, end)
         front = front if is_up else end
-        # the rear lies on the viewer's ray, deeper by the thickness
+        # the sectors from the tap before to this one, or from its own rear, deeper on the viewer's ray by the thickness; on
+        # a sheet the two taps share them where the middle of the step would be seen: halves of the angle would favour the
+        # farther one
         on = thickness / depth
-        behind = share_below(a, v - thickness if is_parallel else v + on * (v - w[_DISTANCE + x]),
-                             b if is_parallel else b + on * b, end)
+        rear_v = v - thickness if is_parallel else v + on * (v - w[_DISTANCE + x])
+        rear_b = b if is_parallel else b + on * b
         on = MIDDLE if is_parallel else MIDDLE * q_last.z / ((ONE - MIDDLE) * q.z + MIDDLE * q_last.z)
         v, b = into_slice(a, viewer, side, normal, Vec3(d.x - (ONE - on) * step.x, d.y - (ONE - on) * step.y,
                                                         d.z - (ONE - on) * step.z))
-        between = share_below(a, v, b, end)
-        start = w[_PLACE + x]
-        between = min(max(between, min(start, front)), max(start, front))
+        border, start = share_below(a, select(is_sheet, v, rear_v), select(is_sheet, b, rear_b), end), w[_PLACE + x]
+        between = min(max(border, min(start, front)), max(start, front))
         between = start if not was_lit else (between if is_facing else front)
         # a sheet that ends here does so somewhere between the taps, on average in the middle
         ends, place = takes & has & (not goes_on) & (not is_sheet), w[_PLACE + x]
@@ -277,7 +277,7 @@ def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
         joins, is_lit = ends | (is_tap & is_sheet), is_tap & is_facing
         w[_FROM + x] = select(joins, f32(SECTORS) * place + shift, ZERO)
         w[_BETWEEN + x] = select(joins, f32(SECTORS) * between + shift, ZERO)
-        w[_BEGIN + x] = select(is_tap, f32(SECTORS) * select(is_sheet, between, behind) + shift, ZERO)
+        w[_BEGIN + x] = select(is_tap, f32(SECTORS) * select(is_sheet, between, border) + shift, ZERO)
         w[_TO + x] = select(is_tap, f32(SECTORS) * front + shift, ZERO)
         w[_SHARE + x] = select(is_lit, near_weight(d2, fade), ZERO)
         w[_SHARE_LAST + x] = select((ends | is_sheet) & was_lit, near_weight(dot(d_last, d_last), fade), ZERO)
@@ -324,13 +324,16 @@ def _cover(w, c, covered, radiance):
         covered[x] |= of_last | of_this
         w[_SHARE_LAST + x] *= f32(count_bits(of_last))
         w[_SHARE + x] *= f32(count_bits(of_this))
+    number = 0
     for x in range(LANES):
-        share, last = w[_SHARE + x], w[_SHARE_LAST + x]
-        if share + last > ZERO:
-            here, there = c[_LIGHT + x], c[_LIGHT_LAST + x]
-            w[_RED + x] += share * radiance[here, 0] + last * radiance[there, 0]
-            w[_GREEN + x] += share * radiance[here, 1] + last * radiance[there, 1]
-            w[_BLUE + x] += share * radiance[here, 2] + last * radiance[there, 2]
+        c[_LISTED + number] = x                  # a list without branches: most of them would be mispredicted
+        number += np.int32(1 if w[_SHARE + x] + w[_SHARE_LAST + x] > ZERO else 0)
+    for m in range(number):
+        x = np.uint32(c[_LISTED + m])
+        share, last, here, there = w[_SHARE + x], w[_SHARE_LAST + x], np.uint32(c[_LIGHT + x]), np.uint32(c[_LIGHT_LAST + x])
+        w[_RED + x] += share * radiance[here, 0] + last * radiance[there, 0]
+        w[_GREEN + x] += share * radiance[here, 1] + last * radiance[there, 1]
+        w[_BLUE + x] += share * radiance[here, 2] + last * radiance[there, 2]
     return goes_on
 
 
@@ -392,7 +395,7 @@ def gather_sectors(begin, end, s, table, ids, slots, radiance, sky, radius, thic
     number = ids.shape[0]
     for block in range(begin, end):
         first = np.int64(block) * LANES
-        w, c, covered = np.empty(_ROW_COUNT * LANES, np.float32), np.empty(5 * LANES, np.int32), np.empty(LANES, np.uint64)
+        w, c, covered = np.empty(_ROW_COUNT * LANES, np.float32), np.empty(6 * LANES, np.int32), np.empty(LANES, np.uint64)
         _begin(s, table, w, c, ids, first, seed)
         for k in range(slices):
             _begin_slice(s, w, k, slices)
