@@ -310,7 +310,7 @@ def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
 @device_jit
 def _bits_between(a, b):
     """uint64 of the sectors between two numbers in [0, 64], in either order."""
-    return bits_below(np.uint32(a)) ^ bits_below(np.uint32(b))
+    return bits_below(np.int32(a)) ^ bits_below(np.int32(b))
 
 
 @inline_jit
