@@ -7,7 +7,7 @@ import functools
 import numpy as np
 
 from ..core.frame import World
-from ..kernels.octahedron import look_up, node_directions
+from ..kernels.octahedron import look_up, node_directions, table_of
 
 MAP_SIZE = (64, 128)        # rows and columns of a gathered map: 2.8 degrees, finer than a cosine needs
 TABLE_MAP_SIZE = (32, 64)   # of the map that the table of irradiance is summed from
@@ -49,8 +49,8 @@ def irradiance_table(world: World) -> np.ndarray:
     """
     if world.is_constant:
         return np.tile((np.pi * world.radiance[0, 0]).astype(np.float32), (2, 2, 1))
-    radiance = shrink_map(world.radiance, TABLE_MAP_SIZE).astype(np.float32)
-    return (_node_cosines(*radiance.shape[:2]) @ radiance.reshape(-1, 3)).reshape(NODES, NODES, 3)
+    radiance = shrink_map(world.radiance, TABLE_MAP_SIZE)
+    return table_of(_node_cosines(*radiance.shape[:2]), radiance)
 
 
 @functools.lru_cache(2)

@@ -36,7 +36,7 @@ import numpy as np
 
 from ..core.frame import Frame, World
 from ..core.techniques import SsdoParams
-from ..kernels.octahedron import look_up, node_directions
+from ..kernels.octahedron import look_up, node_directions, table_of
 from ..kernels.planes import smooth_planes, spread_planes
 from ..kernels.screen import Screen
 from ..kernels.ssdo import LANES, gather_samples, gather_sectors
@@ -70,8 +70,7 @@ def radiance_table(world: World) -> np.ndarray:
     if world.is_constant or world.is_black:
         return NO_SKY
     radiance = shrink_map(world.radiance, SKY_MAP_SIZE)
-    weight = _node_weights(*radiance.shape[:2])
-    return np.ascontiguousarray((weight @ radiance.reshape(-1, 3).astype(np.float32)).reshape(SKY_NODES, SKY_NODES, 3))
+    return table_of(_node_weights(*radiance.shape[:2]), radiance)
 
 
 @functools.lru_cache(2)
