@@ -376,10 +376,10 @@ def _add_sky(s, w, sky, covered, k):
 
 @pixel_jit
 def gather_sectors(begin, end, s, table, ids, slots, radiance, sky, radius, thickness, fade, slices, steps, seed, out):
-    """Light at pixels by slices with a visibility bitmask, written to the planes `out` (9, N) float32 W/m2.
+    """Light at pixels by slices with a visibility bitmask, written to the planes `out` (9 or 4, N) float32 W/m2.
 
     Planes: the bounce by colour, the world's light by colour, and the world's light if nothing stood in the way. With an
-    empty sky the fourth is pi times the visibility and the last five are 0.
+    empty sky there are four, and the fourth is pi times the visibility.
 
     s: Screen; table (H W, 4): normal in the world and depth of each pixel, depth +inf for nothing; ids (M,) row times width
     plus column of pixels that see a surface, slots (M,) where their light goes; radiance (H W, 3) W/(m2 sr) that each
@@ -415,7 +415,7 @@ def gather_sectors(begin, end, s, table, ids, slots, radiance, sky, radius, thic
             _add_sky(s, w, sky, covered, k)
         scale = PI / f32(SECTORS * slices)
         for x in range(min(number - first, LANES)):
-            for channel in range(9):
+            for channel in range(out.shape[0]):
                 out[channel, slots[first + x]] = scale * w[_RED + channel * LANES + x]
 
 
@@ -435,7 +435,7 @@ def gather_samples(begin, end, s, ids, slots, radiance, sky, radius, fade, sampl
         p, n = load_pixel(s.position_ws, i, j), load_pixel(s.normal_ws, i, j)
         tangent, bitangent = tangent_frame(n)
         shift_u, shift_v = uniform(ids[m], seed, 0), uniform(ids[m], seed, 1)
-        for channel in range(9):
+        for channel in range(out.shape[0]):
             out[channel, slot] = ZERO
         for k in range(samples):
             u, turn = r2_sequence(k, shift_u, shift_v)
@@ -469,3 +469,82 @@ def gather_samples(begin, end, s, ids, slots, radiance, sky, radius, fade, sampl
                 out[0, slot] += weight * radiance[at, 0]
                 out[1, slot] += weight * radiance[at, 1]
                 out[2, slot] += weight * radiance[at, 2]
+
+
+@pixel_jit
+def _tap_table(begin, end, normal, depth, out):
+    for i in range(begin, end):
+        for j in range(depth.shape[1]):
+            n = load_pixel(normal, i, j)
+            out[i, j, 0], out[i, j, 1], out[i, j, 2], out[i, j, 3] = n.x, n.y, n.z, depth[i, j]
+
+
+def tap_table(normal, depth):
+    """(H W, 4) float32: normal (H, W, 3) in the world, and depth (H, W) in m with +inf for nothing; a tap is one read."""
+    out = np.empty((*depth.shape, 4), np.float32)
+    _tap_table(depth.shape[0], normal, depth, out)
+    return out.reshape(-1, 4)
+
+
+@pixel_jit
+def _sent_out(begin, end, lamps, world, albedo, out):
+    for i in range(begin, end):
+        for j in range(out.shape[1]):
+            for c in range(3):
+                arrives = lamps[i, j, c] + world[i, j, c] if world.shape[0] > 0 else lamps[i, j, c]
+                out[i, j, c] = arrives * albedo[i, j, c] * f32(1 / math.pi)
+
+
+def sent_out(lamps, world, albedo):
+    """(H, W, 3) float32 W/(m2 sr): what matt surfaces send out after light (H, W, 3) W/m2 of lamps and the world has come.
+
+    Without the world `world` is (0, 0, 3).
+    """
+    out = np.empty(albedo.shape, np.float32)
+    _sent_out(albedo.shape[0], lamps, world, albedo, out)
+    return out
+
+
+@pixel_jit
+def _world_through(begin, end, table, shares, normal, mask, light, visibility):
+    is_even, is_coloured = table.shape[0] == 1, shares.shape[0] == 3
+    second, third = (1, 2) if is_coloured else (0, 0)
+    for i in range(begin, end):
+        for j in range(mask.shape[1]):
+            if not mask[i, j]:
+                continue
+            red, green, blue = table[0, 0, 0], table[0, 0, 1], table[0, 0, 2]
+            if not is_even:
+                red, green, blue = table_at(table, load_pixel(normal, i, j))
+            share, whole = shares[0, i, j], red + green + blue
+            red, green, blue = red * share, green * shares[second, i, j], blue * shares[third, i, j]
+            light[i, j, 0], light[i, j, 1], light[i, j, 2] = red, green, blue
+            arrives = (red + green + blue) / whole if whole > ZERO else ONE
+            visibility[i, j] = min(arrives if is_coloured else share, ONE)
+
+
+def world_through(table, shares, normal, mask):
+    """World light by shares of it: (irradiance (H, W, 3) W/m2, visibility (H, W)), float32; zero and 1 outside `mask`.
+
+    `table` (n, n, 3) holds what an open surface gets, by its normal, or (1, 1, 3) for every normal; `shares` (1 or 3, H, W)
+    what gets through, of all light or of each colour: so a plane under any sky has no noise. Few samples of the published
+    form add up to more than an open sky; light keeps that, for its mean is right, and visibility does not.
+    """
+    light, visibility = np.zeros((*mask.shape, 3), np.float32), np.ones(mask.shape, np.float32)
+    _world_through(mask.shape[0], table, shares, normal, mask, light, visibility)
+    return light, visibility
+
+
+@pixel_jit
+def _to_pixels(begin, end, planes, mask, out):
+    for i in range(begin, end):
+        for j in range(mask.shape[1]):
+            if mask[i, j]:
+                out[i, j, 0], out[i, j, 1], out[i, j, 2] = planes[0, i, j], planes[1, i, j], planes[2, i, j]
+
+
+def to_pixels(planes, mask):
+    """(H, W, 3) float32 from planes (3, H, W); zero outside `mask`."""
+    out = np.zeros((*mask.shape, 3), np.float32)
+    _to_pixels(mask.shape[0], planes, mask, out)
+    return out
