@@ -16,7 +16,7 @@ import numpy as np
 from .fastmath import PI, fast_sin, fraction
 from .jit import borrowed, device_jit, inline_jit, pixel_jit, select
 from .sampling import TWO_PI, dither, place_id
-from .screen import TINY, point_vs, seen_normal_vs, to_viewer_vs, turn_to_view, turn_to_world
+from .screen import TINY, point_vs, seen_normal_vs, to_viewer_vs, turn_to_world
 from .shadow import ORTHOGRAPHIC
 from .slices import (
     BEYOND_PX,
@@ -34,7 +34,7 @@ from .slices import (
     share_below,
     slice_of,
 )
-from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, load_pixel, scaled, tangent_frame
+from .vec3 import ONE, ZERO, Vec3, along, dot, f32, length, scaled, tangent_frame
 
 LANES = 64                  # pixels that go through each step together
 HALF, EIGHTH = f32(0.5), f32(1 / 8)
@@ -173,13 +173,6 @@ def _to_tap(s, w, x, is_parallel, left, top, step_x, step_y):
     scale = ONE if is_parallel else depth
     return Vec3((left + (w[_HIT_COLUMN + x] + HALF) * step_x) * scale - w[_P + x],
                 (top - (w[_HIT_ROW + x] + HALF) * step_y) * scale - w[_P + LANES + x], -depth - w[_P + 2 * LANES + x])
-
-
-@device_jit
-def _look_up(w, flat, width):
-    """Row of the depths of the pixels hit; apart from the arithmetic, which it would keep from being vectorised."""
-    for x in range(LANES):
-        w[_DEPTH + x] = flat[np.int32(w[_HIT_ROW + x]) * np.int32(width) + np.int32(max(w[_HIT_COLUMN + x], ZERO))]
 
 
 @device_jit
@@ -382,15 +375,25 @@ def published_visibility(s, groups, height, width, step, margin, radius, bias, h
 
 
 @pixel_jit
-def _sphere_visibility(begin, end, s, groups, height, width, step, margin, radius, samples, is_oriented, seed, out):
+def _depth_and_facing(begin, end, s, out):
+    s, = borrowed((s,))
+    scale = ZERO if s.projection == ORTHOGRAPHIC else ONE
+    for i in range(begin, end):
+        for j in range(s.depth.shape[1]):
+            n = seen_normal_vs(s, i, j)
+            ray_x, ray_y = scale * (s.left + (f32(j) + HALF) * s.step_x), scale * (s.top - (f32(i) + HALF) * s.step_y)
+            out[i, j, 0], out[i, j, 1] = s.depth[i, j], max(n.z - n.x * ray_x - n.y * ray_y, GRAZING)
+
+
+@pixel_jit
+def _sphere_visibility(begin, end, s, table, groups, height, width, step, margin, radius, samples, is_oriented, seed, out):
     s, = borrowed((s,))
     plane = out.reshape(height * width)
-    flat = s.depth.reshape(-1)
     is_parallel, deepest = s.projection == ORTHOGRAPHIC, radius if is_oriented else FAR
     tall, wide = f32(s.depth.shape[0]), f32(s.depth.shape[1])
     left, top, step_x, step_y = s.left, s.top, s.step_x, s.step_y
     for m in range(begin, end):
-        w, group = np.empty(_ROW_COUNT * LANES, np.float32), groups[m]
+        w, c, group = np.empty(_ROW_COUNT * LANES, np.float32), np.empty(LANES, np.int32), groups[m]
         _begin(s, w, group, width, step, margin, seed)
         for x in range(LANES):
             z = ONE - TWO * w[_TURN + x]
@@ -420,17 +423,14 @@ def _sphere_visibility(begin, end, s, groups, height, width, step, margin, radiu
                 across = ray_x * n.x + ray_y * n.y
                 over = across - level if is_parallel else level
                 there = over / (max(n.z, GRAZING) if is_parallel else min(across - n.z, -GRAZING))
-                w[_HIT_COLUMN + x], w[_HIT_ROW + x] = column, row
+                c[_AT + x] = np.int32(row) * np.int32(s.depth.shape[1]) + np.int32(column)
                 w[_KNOWN + x] = ONE if is_in else ZERO
                 w[_REACH + x] = there if is_oriented else z
-            _look_up(w, flat, s.depth.shape[1])
-            if is_oriented:
-                for x in range(LANES):
-                    n = turn_to_view(s, load_pixel(s.normal_ws, np.int32(w[_HIT_ROW + x]), np.int32(w[_HIT_COLUMN + x])))
-                    scale = ZERO if is_parallel else ONE
-                    ray_x = scale * (left + (w[_HIT_COLUMN + x] + HALF) * step_x)
-                    ray_y = scale * (top - (w[_HIT_ROW + x] + HALF) * step_y)
-                    w[_WEIGHT + x] = max(n.z - n.x * ray_x - n.y * ray_y, GRAZING)
+            for x in range(LANES):
+                at = np.uint32(c[_AT + x])
+                w[_DEPTH + x] = table[at, 0]
+                if is_oriented:
+                    w[_WEIGHT + x] = table[at, 1]
             for x in range(LANES):
                 there, known = w[_REACH + x], w[_KNOWN + x]
                 before = there - w[_DEPTH + x]
@@ -451,5 +451,11 @@ def sphere_visibility(s, groups, height, width, step, margin, radius, samples, i
     normal's side, and a sample farther than `radius` under the surface that is seen before it is not hidden by it.
     """
     out = np.ones((1, height, width), np.float32)
-    _sphere_visibility(groups.shape[0], s, groups, height, width, step, margin, radius, samples, is_oriented, seed, out)
+    table = s.depth.reshape(-1, 1)
+    if is_oriented:
+        table = np.empty((*s.depth.shape, 2), np.float32)
+        _depth_and_facing(s.depth.shape[0], s, table)
+        table = table.reshape(-1, 2)
+    _sphere_visibility(groups.shape[0], s, table, groups, height, width, step, margin, radius, samples, is_oriented, seed,
+                       out)
     return out
