@@ -193,7 +193,7 @@ class _Tracer:
 
     def trace(self, step: np.ndarray, wanted: np.ndarray) -> None:
         """Reflect the `wanted` pixels (H, W) bool with the rays that a pixel of their step and brightness takes."""
-        kind = np.where(wanted, 2 * step + self._is_bright, 0).astype(np.uint8)
+        kind = (2 * step.astype(np.uint8) + self._is_bright) * wanted
         for size in range(1, 1 + int(step.max())):
             for is_bright in (False, True):
                 index = np.flatnonzero(kind == 2 * size + is_bright)
