@@ -22,13 +22,15 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
+from llvmlite import ir
 from numba import extending
 from numba.core import cgutils, event, types
 
 from ..core.cache_root import cache_root
 
-__all__ = ["cache_dir", "compiled_s", "device_jit", "inline_jit", "kernel_session", "most_threads",
-           "pixel_jit"]
+__all__ = ["borrowed", "cache_dir", "compiled_s", "device_jit", "inline_jit", "kernel_session", "most_threads",
+           "pixel_jit", "prefetch", "select"]
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -125,6 +127,50 @@ def borrowed(items: tuple) -> tuple:
 @extending.overload(borrowed)
 def _borrow(items):
     return lambda items: _borrowed(items)
+
+
+@extending.intrinsic
+def _selected(typing_context, condition, a, b):
+    """See `select`."""
+    def lower(context, builder, signature, args):
+        return builder.select(*args)
+    return a(types.boolean, a, a), lower
+
+
+def select(condition: bool, a: float, b: float) -> float:
+    """a if condition else b, for two numbers of one type, without a branch.
+
+    Where one condition chooses what goes to several rows, the compiler makes branches of plain ones, and vectorised
+    branches store under a mask, which takes a Zen processor tens of cycles each.
+    """
+    return a if condition else b
+
+
+@extending.overload(select)
+def _select(condition, a, b):
+    return lambda condition, a, b: _selected(condition, a, b)
+
+
+@extending.intrinsic
+def _prefetched(typing_context, array, index):
+    """See `prefetch`."""
+    def lower(context, builder, signature, args):
+        data = cgutils.create_struct_proxy(signature.args[0])(context, builder, args[0]).data
+        word, pointer = cgutils.int32_t, builder.bitcast(builder.gep(data, [args[1]]), cgutils.voidptr_t)
+        intrinsic = builder.module.declare_intrinsic(
+            "llvm.prefetch", [cgutils.voidptr_t], ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, word, word, word]))
+        builder.call(intrinsic, [pointer, word(0), word(3), word(1)])       # to read, to keep in every cache, data
+        return context.get_dummy_value()
+    return types.void(array, types.intp), lower
+
+
+def prefetch(array: np.ndarray, index: int) -> None:
+    """Let the memory bring number `index` of a C-contiguous array, counted over all its axes, while other work goes on."""
+
+
+@extending.overload(prefetch)
+def _prefetch(array, index):
+    return lambda array, index: _prefetched(array, index)
 
 
 class _Workers:

@@ -58,3 +58,26 @@ def look_up(table, direction, mask):
     out = np.zeros((height, width, 3), np.float32)
     _look_up(height, table, direction, mask, out)
     return out
+
+
+@pixel_jit
+def _weighted_sums(begin, end, weights, red, green, blue, out):
+    for m in range(begin, end):
+        row, sum_red, sum_green, sum_blue = weights[m], ZERO, ZERO, ZERO
+        for k in range(row.shape[0]):
+            sum_red += row[k] * red[k]
+            sum_green += row[k] * green[k]
+            sum_blue += row[k] * blue[k]
+        out[m, 0], out[m, 1], out[m, 2] = sum_red, sum_green, sum_blue
+
+
+def table_of(weights, values):
+    """(n, n, 3) float32 for `table_at`: at each of its nodes the sum of `values` (..., 3) by `weights` (n^2, K).
+
+    The same as a product of matrices, whose library would start threads of its own: they wait for more work for 50 ms and
+    take the processors from the kernels that follow.
+    """
+    size, planes = round(weights.shape[0] ** 0.5), np.ascontiguousarray(values.reshape(-1, 3).T, np.float32)
+    out = np.empty((weights.shape[0], 3), np.float32)
+    _weighted_sums(weights.shape[0], weights, planes[0], planes[1], planes[2], out)
+    return out.reshape(size, size, 3)

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .depth_pyramid import HEIGHT, HIGH, LOW, SLACK, SLOPE_X, SLOPE_Y
-from .jit import device_jit
+from .jit import device_jit, inline_jit
 from .shadow import ORTHOGRAPHIC
 
 HIT, HIDDEN, LEFT, ENDED = 1, 2, 3, 4
@@ -56,7 +56,7 @@ class ScreenRay(NamedTuple):
     is_parallel: bool
 
 
-@device_jit
+@inline_jit
 def ray_in_picture(s, o, u, reach_m):
     """The ScreenRay from view-space point o, in front of the camera, along unit vector u; it ends after `reach_m`.
 
@@ -105,7 +105,7 @@ def _above_plane(planes, i, j, ray, s):
     return ray.h + s * ray.dh - (planes[i, j, HEIGHT] + planes[i, j, SLOPE_X] * x + planes[i, j, SLOPE_Y] * y)
 
 
-@device_jit
+@inline_jit
 def _meet_pixel(planes, i, j, ray, enters, leaves):
     """(HIT, HIDDEN or 0 for clear, parameter of the hit) in a pixel whose bounds did not settle it."""
     before, after = _above_plane(planes, i, j, ray, enters), _above_plane(planes, i, j, ray, leaves)
@@ -118,7 +118,7 @@ def _meet_pixel(planes, i, j, ray, enters, leaves):
     return HIDDEN, enters
 
 
-@device_jit
+@inline_jit
 def march(pyramid, ray, i, j, top, stops_hidden):
     """(HIT, HIDDEN, LEFT or ENDED; row, column, s, steps): what becomes of a ray that starts in pixel (i, j).
 

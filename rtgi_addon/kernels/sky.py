@@ -140,3 +140,31 @@ def light_through(table, planes, normal, mask, albedo, has_bounces):
     light, visibility = np.zeros((height, width, 3), np.float32), np.ones((height, width), np.float32)
     _light_through(height, table, planes, normal, mask, albedo, has_bounces, light, visibility)
     return light, visibility
+
+
+@pixel_jit
+def _mean_parts(begin, end, radiance, weight, first_row, first_column, out):
+    for k in range(begin, end):
+        whole = 0.0
+        for i in range(first_row[k], first_row[k + 1]):
+            whole += weight[i]
+        for q in range(out.shape[1]):
+            red, green, blue = 0.0, 0.0, 0.0
+            for i in range(first_row[k], first_row[k + 1]):
+                for j in range(first_column[q], first_column[q + 1]):
+                    red += weight[i] * radiance[i, j, 0]
+                    green += weight[i] * radiance[i, j, 1]
+                    blue += weight[i] * radiance[i, j, 2]
+            rcp = 1.0 / (whole * (first_column[q + 1] - first_column[q]))
+            out[k, q, 0], out[k, q, 1], out[k, q, 2] = red * rcp, green * rcp, blue * rcp
+
+
+def mean_parts(radiance, weight, first_row, first_column):
+    """(h, w, 3) float32: means of `radiance` (H, W, 3) over h x w parts, its rows weighed by `weight` (H,) float64.
+
+    Part (k, q) goes from row `first_row[k]` and column `first_column[q]` to before those of the next; both lists end with
+    the number of all rows or columns.
+    """
+    out = np.empty((len(first_row) - 1, len(first_column) - 1, 3), np.float32)
+    _mean_parts(out.shape[0], radiance, weight, first_row, first_column, out)
+    return out

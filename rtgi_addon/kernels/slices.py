@@ -107,8 +107,11 @@ def rear(v, s, distance, is_parallel, thickness, radius):
 
 @device_jit
 def bits_below(count):
-    """uint64 with the lowest `count` (0 to 64) bits set; in two shifts, as a shift by 64 is not defined."""
-    half = count >> np.uint32(1)
+    """uint64 with the lowest `count` (0 to 64) bits set; in two shifts, as a shift by 64 is not defined.
+
+    `count` is an int32: few processors turn many float32 at once into any other integers.
+    """
+    half = count >> np.int32(1)
     return ~((_FULL << np.uint64(half)) << np.uint64(count - half))
 
 
@@ -119,7 +122,7 @@ def sectors(low, high, shift):
     Bit k is set where the share (k + 1 - shift) / 64 lies in between: the mean over shifts is exact, and so are unions.
     """
     first, last = np.int32(f32(SECTORS) * low + shift), np.int32(f32(SECTORS) * high + shift)
-    return bits_below(np.uint32(last)) & ~bits_below(np.uint32(first))
+    return bits_below(last) & ~bits_below(first)
 
 
 @device_jit

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from .fastmath import HALF_PI, PI, fast_atan2, fast_sin, fraction
-from .jit import borrowed, device_jit, pixel_jit
+from .jit import borrowed, device_jit, inline_jit, pixel_jit, prefetch, select
 from .octahedron import table_at
 from .sampling import dither, near_weight, place_id, r2_sequence, uniform
 from .screen import TINY, is_inside, point_vs, to_screen, to_viewer_vs, turn_to_view, turn_to_world
@@ -68,8 +68,9 @@ TAPS_A_STEP = 3             # taps in all are this many times the steps, whateve
  _OPEN_BLUE, _WHOLE_RED, _WHOLE_GREEN, _WHOLE_BLUE) = (
     LANES * k for k in (0, 3, 6, 9, 12, 19, 22, 25, *range(29, 69)))
 _ROW_COUNT = 69
-# of the scratch array of integers: pixels of the lane itself, of its tap and of the taps whose light is taken
-_SELF, _PIXEL, _PIXEL_LAST, _LIGHT, _LIGHT_LAST = (LANES * k for k in range(5))
+# of the scratch array of integers: pixels of the lane itself, of its tap and of the taps whose light is taken; lanes that
+# take any
+_SELF, _PIXEL, _PIXEL_LAST, _LIGHT, _LIGHT_LAST, _LISTED = (LANES * k for k in range(6))
 
 
 @device_jit
@@ -185,9 +186,9 @@ def _begin_side(s, w, c, way, k, slices, radius, steps):
         c[_PIXEL_LAST + x] = c[_SELF + x]
 
 
-@device_jit
-def _tap(s, table, w, c, way):
-    """Rows of the pixel that each walk has come to, and what it shows."""
+@inline_jit
+def _aim(s, table, w, c, way):
+    """Rows of the pixel that each walk has come to, which the memory is told of before `_tap` asks for it."""
     height, width = f32(s.depth.shape[0]), f32(s.depth.shape[1])
     for x in range(LANES):
         # the order of min and max turns NaN into 0
@@ -196,12 +197,19 @@ def _tap(s, table, w, c, way):
         w[_HIT_ROW + x] = f32(np.int32(max(ZERO, min(w[_ROW + x] + w[_ROWS + x] * px, height - ONE))))
         c[_PIXEL + x] = np.int32(w[_HIT_ROW + x]) * np.int32(s.depth.shape[1]) + np.int32(w[_HIT_COLUMN + x])
     for x in range(LANES):
-        m = c[_PIXEL + x]
+        prefetch(table, table.shape[1] * np.uint32(c[_PIXEL + x]))
+
+
+@inline_jit
+def _tap(table, w, c):
+    """Rows of what the pixel shows that each walk has come to."""
+    for x in range(LANES):
+        m = np.uint32(c[_PIXEL + x])
         w[_TAP + x], w[_TAP + LANES + x] = table[m, 0], table[m, 1]
         w[_TAP + 2 * LANES + x], w[_TAP + 3 * LANES + x] = table[m, 2], table[m, 3]
 
 
-@device_jit
+@inline_jit
 def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
     """Take or refuse each walk's tap, note the sectors that it covers, and go on to the next; `left` taps remain.
 
@@ -245,21 +253,20 @@ def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
         splits = is_active & (not goes_on) & (r - r_last > nearest) & may_split
         takes = is_active & (not splits)
         is_tap = takes & is_there
-        # the sectors from the tap before to this one, or from its own rear; on a sheet the two taps share them where the
-        # middle of the step would be seen: halves of the angle would favour the farther one
         v, b = into_slice(a, viewer, side, normal, d)
         front = share_below(a, v, b, end)
         front = front if is_up else end
-        # the rear lies on the viewer's ray, deeper by the thickness
+        # the sectors from the tap before to this one, or from its own rear, deeper on the viewer's ray by the thickness; on
+        # a sheet the two taps share them where the middle of the step would be seen: halves of the angle would favour the
+        # farther one
         on = thickness / depth
-        behind = share_below(a, v - thickness if is_parallel else v + on * (v - w[_DISTANCE + x]),
-                             b if is_parallel else b + on * b, end)
+        rear_v = v - thickness if is_parallel else v + on * (v - w[_DISTANCE + x])
+        rear_b = b if is_parallel else b + on * b
         on = MIDDLE if is_parallel else MIDDLE * q_last.z / ((ONE - MIDDLE) * q.z + MIDDLE * q_last.z)
         v, b = into_slice(a, viewer, side, normal, Vec3(d.x - (ONE - on) * step.x, d.y - (ONE - on) * step.y,
                                                         d.z - (ONE - on) * step.z))
-        between = share_below(a, v, b, end)
-        start = w[_PLACE + x]
-        between = min(max(between, min(start, front)), max(start, front))
+        border, start = share_below(a, select(is_sheet, v, rear_v), select(is_sheet, b, rear_b), end), w[_PLACE + x]
+        between = min(max(border, min(start, front)), max(start, front))
         between = start if not was_lit else (between if is_facing else front)
         # a sheet that ends here does so somewhere between the taps, on average in the middle
         ends, place = takes & has & (not goes_on) & (not is_sheet), w[_PLACE + x]
@@ -267,15 +274,15 @@ def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
         more = place + min(HALF * since * abs(w[_SLOPE + x]), MOST_MORE) * (ONE if w[_SLOPE + x] > ZERO else -ONE)
         between = min(max(more, ZERO), ONE) if ends else between
         shift = fraction(w[_SHIFT + x] + f32(k) * SILVER)
-        w[_FROM + x] = f32(SECTORS) * place + shift if ends | (is_tap & is_sheet) else ZERO
-        w[_BETWEEN + x] = f32(SECTORS) * between + shift if ends | (is_tap & is_sheet) else ZERO
-        w[_BEGIN + x] = f32(SECTORS) * (between if is_sheet else behind) + shift if is_tap else ZERO
-        w[_TO + x] = f32(SECTORS) * front + shift if is_tap else ZERO
-        is_lit = is_tap & is_facing
-        w[_SHARE + x] = near_weight(d2, fade) if is_lit else ZERO
-        w[_SHARE_LAST + x] = near_weight(dot(d_last, d_last), fade) if (ends | is_sheet) & was_lit else ZERO
-        w[_SLOPE + x] = ((front - place) / max(since, HALF) if is_sheet else ZERO) if is_tap else w[_SLOPE + x]
-        w[_R_TAP + x] = r if is_tap else w[_R_TAP + x]
+        joins, is_lit = ends | (is_tap & is_sheet), is_tap & is_facing
+        w[_FROM + x] = select(joins, f32(SECTORS) * place + shift, ZERO)
+        w[_BETWEEN + x] = select(joins, f32(SECTORS) * between + shift, ZERO)
+        w[_BEGIN + x] = select(is_tap, f32(SECTORS) * select(is_sheet, between, border) + shift, ZERO)
+        w[_TO + x] = select(is_tap, f32(SECTORS) * front + shift, ZERO)
+        w[_SHARE + x] = select(is_lit, near_weight(d2, fade), ZERO)
+        w[_SHARE_LAST + x] = select((ends | is_sheet) & was_lit, near_weight(dot(d_last, d_last), fade), ZERO)
+        w[_SLOPE + x] = select(is_tap, select(is_sheet, (front - place) / max(since, HALF), ZERO), w[_SLOPE + x])
+        w[_R_TAP + x] = select(is_tap, r, w[_R_TAP + x])
         c[_LIGHT + x], c[_LIGHT_LAST + x] = pixel, pixel_last
         # the next tap: between, at the far end of the gap, or a step on
         is_short = takes & goes_on & (r < r_far)
@@ -283,29 +290,30 @@ def _look(s, w, c, way, k, steps, radius, thickness, fade, left):
         is_coarse = takes & (not is_short)
         is_done = is_coarse & (r >= r_coarse)
         on = w[_FIRST + x] + ONE + (ONE - todo) / f32(steps)
-        coarse = (min(ONE + (reach - ONE) * on * on, reach) if todo > ONE else reach) if is_done else r_coarse
-        r_next = coarse if is_coarse else (HALF * (r_last + r) if splits else (HALF * (r + r_far) if is_deeper else r_far))
-        w[_Q + x], w[_Q + LANES + x] = q.x if is_tap else q_last.x, q.y if is_tap else q_last.y
-        w[_Q + 2 * LANES + x] = q.z if is_tap else q_last.z
-        w[_N + x], w[_N + LANES + x] = n.x if is_tap else n_last.x, n.y if is_tap else n_last.y
-        w[_N + 2 * LANES + x] = n.z if is_tap else n_last.z
-        c[_PIXEL_LAST + x] = pixel if is_tap else pixel_last
-        w[_PLACE + x] = front if is_tap else w[_PLACE + x]
-        w[_LIT + x] = ONE if is_lit | ((not is_tap) & was_lit) else ZERO
-        w[_HAS + x] = ONE if is_tap | ((not takes) & has) | is_same else ZERO
-        w[_TODO + x] = todo - ONE if is_done else todo
-        w[_R_COARSE + x], w[_R_LAST + x], w[_R + x] = coarse, r if takes else r_last, r_next
-        w[_R_FAR + x] = r if splits else (ZERO if is_coarse else r_far)
-        w[_SPLIT + x] = ZERO if is_coarse else (split + ONE if splits | is_deeper else SPLITS)
+        coarse = select(is_done, select(todo > ONE, min(ONE + (reach - ONE) * on * on, reach), reach), r_coarse)
+        halved = HALF * (r + select(splits, r_last, r_far))
+        r_next = select(is_coarse, coarse, select(splits | is_deeper, halved, r_far))
+        w[_Q + x], w[_Q + LANES + x] = select(is_tap, q.x, q_last.x), select(is_tap, q.y, q_last.y)
+        w[_Q + 2 * LANES + x] = select(is_tap, q.z, q_last.z)
+        w[_N + x], w[_N + LANES + x] = select(is_tap, n.x, n_last.x), select(is_tap, n.y, n_last.y)
+        w[_N + 2 * LANES + x] = select(is_tap, n.z, n_last.z)
+        c[_PIXEL_LAST + x] = select(is_tap, pixel, pixel_last)
+        w[_PLACE + x] = select(is_tap, front, w[_PLACE + x])
+        w[_LIT + x] = select(is_lit | ((not is_tap) & was_lit), ONE, ZERO)
+        w[_HAS + x] = select(is_tap | ((not takes) & has) | is_same, ONE, ZERO)
+        w[_TODO + x] = select(is_done, todo - ONE, todo)
+        w[_R_COARSE + x], w[_R_LAST + x], w[_R + x] = coarse, select(takes, r, r_last), r_next
+        w[_R_FAR + x] = select(splits, r, select(is_coarse, ZERO, r_far))
+        w[_SPLIT + x] = select(is_coarse, ZERO, select(splits | is_deeper, split + ONE, SPLITS))
 
 
 @device_jit
 def _bits_between(a, b):
     """uint64 of the sectors between two numbers in [0, 64], in either order."""
-    return bits_below(np.uint32(a)) ^ bits_below(np.uint32(b))
+    return bits_below(np.int32(a)) ^ bits_below(np.int32(b))
 
 
-@device_jit
+@inline_jit
 def _cover(w, c, covered, radiance):
     """Give each lane's newly covered sectors the radiance of the taps that cover them; True while a walk goes on."""
     goes_on = False
@@ -316,13 +324,16 @@ def _cover(w, c, covered, radiance):
         covered[x] |= of_last | of_this
         w[_SHARE_LAST + x] *= f32(count_bits(of_last))
         w[_SHARE + x] *= f32(count_bits(of_this))
+    number = 0
     for x in range(LANES):
-        share, last = w[_SHARE + x], w[_SHARE_LAST + x]
-        if share + last > ZERO:
-            here, there = c[_LIGHT + x], c[_LIGHT_LAST + x]
-            w[_RED + x] += share * radiance[here, 0] + last * radiance[there, 0]
-            w[_GREEN + x] += share * radiance[here, 1] + last * radiance[there, 1]
-            w[_BLUE + x] += share * radiance[here, 2] + last * radiance[there, 2]
+        c[_LISTED + number] = x                  # a list without branches: most of them would be mispredicted
+        number += np.int32(1 if w[_SHARE + x] + w[_SHARE_LAST + x] > ZERO else 0)
+    for m in range(number):
+        x = np.uint32(c[_LISTED + m])
+        share, last, here, there = w[_SHARE + x], w[_SHARE_LAST + x], np.uint32(c[_LIGHT + x]), np.uint32(c[_LIGHT_LAST + x])
+        w[_RED + x] += share * radiance[here, 0] + last * radiance[there, 0]
+        w[_GREEN + x] += share * radiance[here, 1] + last * radiance[there, 1]
+        w[_BLUE + x] += share * radiance[here, 2] + last * radiance[there, 2]
     return goes_on
 
 
@@ -365,10 +376,10 @@ def _add_sky(s, w, sky, covered, k):
 
 @pixel_jit
 def gather_sectors(begin, end, s, table, ids, slots, radiance, sky, radius, thickness, fade, slices, steps, seed, out):
-    """Light at pixels by slices with a visibility bitmask, written to the planes `out` (9, N) float32 W/m2.
+    """Light at pixels by slices with a visibility bitmask, written to the planes `out` (9 or 4, N) float32 W/m2.
 
     Planes: the bounce by colour, the world's light by colour, and the world's light if nothing stood in the way. With an
-    empty sky the fourth is pi times the visibility and the last five are 0.
+    empty sky there are four, and the fourth is pi times the visibility.
 
     s: Screen; table (H W, 4): normal in the world and depth of each pixel, depth +inf for nothing; ids (M,) row times width
     plus column of pixels that see a surface, slots (M,) where their light goes; radiance (H W, 3) W/(m2 sr) that each
@@ -384,7 +395,7 @@ def gather_sectors(begin, end, s, table, ids, slots, radiance, sky, radius, thic
     number = ids.shape[0]
     for block in range(begin, end):
         first = np.int64(block) * LANES
-        w, c, covered = np.empty(_ROW_COUNT * LANES, np.float32), np.empty(5 * LANES, np.int32), np.empty(LANES, np.uint64)
+        w, c, covered = np.empty(_ROW_COUNT * LANES, np.float32), np.empty(6 * LANES, np.int32), np.empty(LANES, np.uint64)
         _begin(s, table, w, c, ids, first, seed)
         for k in range(slices):
             _begin_slice(s, w, k, slices)
@@ -393,16 +404,18 @@ def gather_sectors(begin, end, s, table, ids, slots, radiance, sky, radius, thic
             for half in range(2):
                 way = ONE if half == 0 else -ONE
                 _begin_side(s, w, c, way, k, slices, radius, steps)
+                _aim(s, table, w, c, way)
                 left, goes_on = TAPS_A_STEP * steps, True
                 while goes_on and left > 0:
                     left -= 1
-                    _tap(s, table, w, c, way)
+                    _tap(table, w, c)
                     _look(s, w, c, way, k, steps, radius, thickness, fade, left)
+                    _aim(s, table, w, c, way)
                     goes_on = _cover(w, c, covered, radiance)
             _add_sky(s, w, sky, covered, k)
         scale = PI / f32(SECTORS * slices)
         for x in range(min(number - first, LANES)):
-            for channel in range(9):
+            for channel in range(out.shape[0]):
                 out[channel, slots[first + x]] = scale * w[_RED + channel * LANES + x]
 
 
@@ -422,7 +435,7 @@ def gather_samples(begin, end, s, ids, slots, radiance, sky, radius, fade, sampl
         p, n = load_pixel(s.position_ws, i, j), load_pixel(s.normal_ws, i, j)
         tangent, bitangent = tangent_frame(n)
         shift_u, shift_v = uniform(ids[m], seed, 0), uniform(ids[m], seed, 1)
-        for channel in range(9):
+        for channel in range(out.shape[0]):
             out[channel, slot] = ZERO
         for k in range(samples):
             u, turn = r2_sequence(k, shift_u, shift_v)
@@ -456,3 +469,82 @@ def gather_samples(begin, end, s, ids, slots, radiance, sky, radius, fade, sampl
                 out[0, slot] += weight * radiance[at, 0]
                 out[1, slot] += weight * radiance[at, 1]
                 out[2, slot] += weight * radiance[at, 2]
+
+
+@pixel_jit
+def _tap_table(begin, end, normal, depth, out):
+    for i in range(begin, end):
+        for j in range(depth.shape[1]):
+            n = load_pixel(normal, i, j)
+            out[i, j, 0], out[i, j, 1], out[i, j, 2], out[i, j, 3] = n.x, n.y, n.z, depth[i, j]
+
+
+def tap_table(normal, depth):
+    """(H W, 4) float32: normal (H, W, 3) in the world, and depth (H, W) in m with +inf for nothing; a tap is one read."""
+    out = np.empty((*depth.shape, 4), np.float32)
+    _tap_table(depth.shape[0], normal, depth, out)
+    return out.reshape(-1, 4)
+
+
+@pixel_jit
+def _sent_out(begin, end, lamps, world, albedo, out):
+    for i in range(begin, end):
+        for j in range(out.shape[1]):
+            for c in range(3):
+                arrives = lamps[i, j, c] + world[i, j, c] if world.shape[0] > 0 else lamps[i, j, c]
+                out[i, j, c] = arrives * albedo[i, j, c] * f32(1 / math.pi)
+
+
+def sent_out(lamps, world, albedo):
+    """(H, W, 3) float32 W/(m2 sr): what matt surfaces send out after light (H, W, 3) W/m2 of lamps and the world has come.
+
+    Without the world `world` is (0, 0, 3).
+    """
+    out = np.empty(albedo.shape, np.float32)
+    _sent_out(albedo.shape[0], lamps, world, albedo, out)
+    return out
+
+
+@pixel_jit
+def _world_through(begin, end, table, shares, normal, mask, light, visibility):
+    is_even, is_coloured = table.shape[0] == 1, shares.shape[0] == 3
+    second, third = (1, 2) if is_coloured else (0, 0)
+    for i in range(begin, end):
+        for j in range(mask.shape[1]):
+            if not mask[i, j]:
+                continue
+            red, green, blue = table[0, 0, 0], table[0, 0, 1], table[0, 0, 2]
+            if not is_even:
+                red, green, blue = table_at(table, load_pixel(normal, i, j))
+            share, whole = shares[0, i, j], red + green + blue
+            red, green, blue = red * share, green * shares[second, i, j], blue * shares[third, i, j]
+            light[i, j, 0], light[i, j, 1], light[i, j, 2] = red, green, blue
+            arrives = (red + green + blue) / whole if whole > ZERO else ONE
+            visibility[i, j] = min(arrives if is_coloured else share, ONE)
+
+
+def world_through(table, shares, normal, mask):
+    """World light by shares of it: (irradiance (H, W, 3) W/m2, visibility (H, W)), float32; zero and 1 outside `mask`.
+
+    `table` (n, n, 3) holds what an open surface gets, by its normal, or (1, 1, 3) for every normal; `shares` (1 or 3, H, W)
+    what gets through, of all light or of each colour: so a plane under any sky has no noise. Few samples of the published
+    form add up to more than an open sky; light keeps that, for its mean is right, and visibility does not.
+    """
+    light, visibility = np.zeros((*mask.shape, 3), np.float32), np.ones(mask.shape, np.float32)
+    _world_through(mask.shape[0], table, shares, normal, mask, light, visibility)
+    return light, visibility
+
+
+@pixel_jit
+def _to_pixels(begin, end, planes, mask, out):
+    for i in range(begin, end):
+        for j in range(mask.shape[1]):
+            if mask[i, j]:
+                out[i, j, 0], out[i, j, 1], out[i, j, 2] = planes[0, i, j], planes[1, i, j], planes[2, i, j]
+
+
+def to_pixels(planes, mask):
+    """(H, W, 3) float32 from planes (3, H, W); zero outside `mask`."""
+    out = np.zeros((*mask.shape, 3), np.float32)
+    _to_pixels(mask.shape[0], planes, mask, out)
+    return out

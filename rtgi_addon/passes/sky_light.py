@@ -7,7 +7,8 @@ import functools
 import numpy as np
 
 from ..core.frame import World
-from ..kernels.octahedron import look_up, node_directions
+from ..kernels.octahedron import look_up, node_directions, table_of
+from ..kernels.sky import mean_parts
 
 MAP_SIZE = (64, 128)        # rows and columns of a gathered map: 2.8 degrees, finer than a cosine needs
 TABLE_MAP_SIZE = (32, 64)   # of the map that the table of irradiance is summed from
@@ -22,12 +23,10 @@ def shrink_map(radiance: np.ndarray, size: tuple[int, int] = MAP_SIZE) -> np.nda
     height, width = radiance.shape[:2]
     rows, columns = min(size[0], height), min(size[1], width)
     latitude = np.pi / 2 - np.pi * np.arange(height + 1) / height
-    weight = (np.sin(latitude[:-1]) - np.sin(latitude[1:]))[:, None, None]
+    weight = np.sin(latitude[:-1]) - np.sin(latitude[1:])
     # part k begins at the first index i with i * parts // number == k
-    first_row, first_column = -(-np.arange(rows) * height // rows), -(-np.arange(columns) * width // columns)
-    out = np.add.reduceat(np.add.reduceat(radiance * weight, first_row, 0), first_column, 1)
-    count = np.add.reduceat(weight, first_row, 0) * np.diff(first_column, append=width)[:, None]
-    return (out / count).astype(np.float32)
+    first_row, first_column = -(-np.arange(rows + 1) * height // rows), -(-np.arange(columns + 1) * width // columns)
+    return mean_parts(radiance, weight, first_row, first_column)
 
 
 def texel_directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -49,8 +48,8 @@ def irradiance_table(world: World) -> np.ndarray:
     """
     if world.is_constant:
         return np.tile((np.pi * world.radiance[0, 0]).astype(np.float32), (2, 2, 1))
-    radiance = shrink_map(world.radiance, TABLE_MAP_SIZE).astype(np.float32)
-    return (_node_cosines(*radiance.shape[:2]) @ radiance.reshape(-1, 3)).reshape(NODES, NODES, 3)
+    radiance = shrink_map(world.radiance, TABLE_MAP_SIZE)
+    return table_of(_node_cosines(*radiance.shape[:2]), radiance)
 
 
 @functools.lru_cache(2)

@@ -36,10 +36,10 @@ import numpy as np
 
 from ..core.frame import Frame, World
 from ..core.techniques import SsdoParams
-from ..kernels.octahedron import look_up, node_directions
+from ..kernels.octahedron import node_directions, table_of
 from ..kernels.planes import smooth_planes, spread_planes
 from ..kernels.screen import Screen
-from ..kernels.ssdo import LANES, gather_samples, gather_sectors
+from ..kernels.ssdo import LANES, gather_samples, gather_sectors, sent_out, tap_table, to_pixels, world_through
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .screen import coarse_screen, screen_of
@@ -70,8 +70,7 @@ def radiance_table(world: World) -> np.ndarray:
     if world.is_constant or world.is_black:
         return NO_SKY
     radiance = shrink_map(world.radiance, SKY_MAP_SIZE)
-    weight = _node_weights(*radiance.shape[:2])
-    return np.ascontiguousarray((weight @ radiance.reshape(-1, 3).astype(np.float32)).reshape(SKY_NODES, SKY_NODES, 3))
+    return table_of(_node_weights(*radiance.shape[:2]), radiance)
 
 
 @functools.lru_cache(2)
@@ -88,24 +87,17 @@ def _node_weights(height: int, width: int) -> np.ndarray:
     return weight
 
 
-def tap_table(frame: Frame) -> np.ndarray:
-    """(H W, 4) float32: normal in the world, and depth in m with +inf for nothing; a tap is one read of 16 bytes."""
-    g = frame.gbuffer
-    table = np.empty((*g.shape, 4), np.float32)
-    table[..., :3], table[..., 3] = g.normal_ws, g.depth
-    return table.reshape(-1, 4)
-
-
 def radius_of(frame: Frame, params: SsdoParams) -> float:
     """m: how far taps go."""
     return params.radius_m or RADIUS_SHARE * frame.scale_m
 
 
 def _shares(planes: np.ndarray) -> np.ndarray:
-    """Share of the world's light that arrives, one plane, or one for each colour of a map, from a kernel's planes."""
+    """Share of the world's light that arrives, from a kernel's planes and in place: one, or one for each colour of a map."""
     if len(planes) == 1:
-        return planes * f32(1 / np.pi)
-    return np.minimum(planes[:3] / np.maximum(planes[3:], f32(1e-20)), f32(1))
+        return np.multiply(planes, f32(1 / np.pi), out=planes)
+    arrives, whole = planes[:3], np.maximum(planes[3:], f32(1e-20), out=planes[3:])
+    return np.minimum(np.divide(arrives, whole, out=arrives), f32(1), out=arrives)
 
 
 def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarray | None, sky: np.ndarray, radius: float,
@@ -119,8 +111,9 @@ def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarra
     at = (slice(step // 2, None, step), slice(step // 2, None, step))
     asked = np.ascontiguousarray(mask[at])
     slots = np.flatnonzero(asked)
-    ids = np.arange(mask.size).reshape(mask.shape)[at].ravel()[slots]
-    values, source = np.zeros((9, asked.size), np.float32), radiance
+    row, column = np.divmod(slots, asked.shape[1])
+    ids = (row * step + step // 2) * mask.shape[1] + column * step + step // 2
+    values, source = np.zeros((9 if len(sky) else 4, asked.size), np.float32), radiance
     if source is None:
         source = np.zeros((mask.size, 3), np.float32)
     for begin in range(0, len(ids), TILE_PIXELS):
@@ -134,41 +127,22 @@ def _gathered(frame: Frame, taps: _Taps, params: SsdoParams, radiance: np.ndarra
             gather_samples(len(ids[tile]), taps.screen, ids[tile], slots[tile], source, sky, f32(radius), f32(fade),
                            params.samples, seed, values)
     context.checkpoint("Filter", 0.9)
-    planes = values.reshape(9, *asked.shape)[0 if radiance is not None else 3:9 if len(sky) else 4]
+    bounce = 3 if radiance is not None else 0
+    planes = values.reshape(-1, *asked.shape)[3 - bounce:]
     coarse = coarse_screen(taps.screen, step) if step > 1 else taps.screen
     if params.blur > 0:
         planes = smooth_planes(coarse, planes, params.blur, f32(BLUR_TOLERANCE_PX))
-    bounce = 3 if radiance is not None else 0
-    planes = np.concatenate([planes[:bounce], _shares(planes[bounce:])])
+    planes = planes[:bounce + len(_shares(planes[bounce:]))]
     if step > 1:
         planes = spread_planes(taps.screen, coarse, planes, step, f32(SPREAD_TOLERANCE_PX))
     return planes[:bounce], planes[bounce:]
 
 
-def _world_light(frame: Frame, shares: np.ndarray, opened: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(irradiance (H, W, 3) W/m2, visibility (H, W)) float32 from `_shares` and what open surfaces get (H, W, 3).
-
-    Light is what an open surface gets times the share of the directions' light that got through, colour by colour: so a
-    plane under any sky has no noise.
-    """
-    mask = frame.gbuffer.mask
-    light = np.multiply(opened, np.moveaxis(shares, 0, -1)) if not frame.world.is_black else opened
-    if len(shares) == 1:
-        # few samples of the published form add up to more than an open sky; the light keeps that, for its mean is right
-        return light, np.where(mask, np.minimum(shares[0], f32(1)), f32(1))
-    brightness = opened.sum(-1)
-    visibility = np.divide(light.sum(-1), brightness, out=np.ones(mask.shape, np.float32), where=brightness > 0)
-    return light, np.minimum(visibility, f32(1))
-
-
-def _open_light(frame: Frame) -> np.ndarray:
-    """(H, W, 3) float32 W/m2 that the surfaces in view would get from the world with nothing in the way."""
-    g, world = frame.gbuffer, frame.world
-    if world.is_black:
-        return np.zeros_like(g.albedo)
-    if world.is_constant:
-        return np.where(g.mask[..., None], (np.pi * world.radiance[0, 0]).astype(np.float32), f32(0))
-    return look_up(irradiance_table(world), g.normal_ws, g.mask)
+def _open_table(world: World) -> np.ndarray:
+    """(n, n, 3) float32 W/m2 that an open surface gets from the world, by its normal; (1, 1, 3) of an even or black one."""
+    if world.is_constant or world.is_black:
+        return (np.pi * world.radiance[:1, :1]).astype(np.float32)
+    return irradiance_table(world)
 
 
 def _near_m(frame: Frame, params: SsdoParams) -> float:
@@ -209,25 +183,22 @@ def compute_ssdo(frame: Frame, params: SsdoParams, context: Context, seed: int =
         black = np.zeros_like(g.albedo)
         return PassResult({Transport.WORLD_DIFFUSE: black, Transport.NEAR_DIFFUSE: black.copy()},
                           np.ones(g.shape, np.float32))
-    taps = _Taps(screen_of(frame), tap_table(frame))
-    radius, sky = radius_of(frame, params), radiance_table(frame.world)
-    opened = _open_light(frame)
+    taps = _Taps(screen_of(frame), tap_table(g.normal_ws, g.depth))
+    radius, sky, table = radius_of(frame, params), radiance_table(frame.world), _open_table(frame.world)
     is_shared = context.near_left_m > 0
-    light = np.zeros_like(g.albedo)
+    lamps, world = np.zeros_like(g.albedo), NO_SKY
     if is_shared or Transport.BOUNCE_DIFFUSE not in context.light:      # whoever supplies all of the bounce has the near one
-        light = context.light.get(Transport.DIRECT_DIFFUSE, light)
+        lamps = context.light.get(Transport.DIRECT_DIFFUSE, lamps)
     if not frame.world.is_black and Transport.WORLD_BOUNCE_DIFFUSE not in context.to_come:
         _, shares = _gathered(frame, taps, params, None, sky, radius, 0.0, FIRST_LATTICE_PX, seed + 1, context,
                               "World light of emitters")
-        light = light + _world_light(frame, shares, opened)[0]
-    radiance = (light * g.albedo).astype(np.float32, copy=False)
-    radiance *= f32(1 / np.pi)
+        world, _ = world_through(table, shares, g.normal_ws, g.mask)
+    radiance = sent_out(lamps, world, g.albedo)
     fade = 1 / context.near_left_m**2 if is_shared else 0.0
     near, shares = _gathered(frame, taps, params, radiance.reshape(-1, 3), sky, radius, fade, params.lattice_px, seed,
                              context, "Directional occlusion")
-    world, visibility = _world_light(frame, shares, opened)
-    bounce = np.empty_like(radiance)
-    np.multiply(np.moveaxis(near, 0, -1), g.mask[..., None], out=bounce)
+    world, visibility = world_through(table, shares, g.normal_ws, g.mask)
+    bounce = to_pixels(near, g.mask)
     return PassResult({Transport.WORLD_DIFFUSE: world, Transport.NEAR_DIFFUSE: bounce}, visibility,
                       {"radius_m": float(radius), "shares_bounce": is_shared})
 

@@ -27,6 +27,7 @@ from ..kernels.brdf import GAIN_STEPS, albedo_table
 from ..kernels.bvh import build_bvh
 from ..kernels.depth_pyramid import build_pyramid
 from ..kernels.gloss_filter import FILTERED, blur_of_pixels, smooth_reflections, spread_reflections
+from ..kernels.gloss_pixels import LEAST_SUM, colour_pixels, mean_colour, on_lattice, sort_pixels
 from ..kernels.lit_hits import Gloss
 from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Rules, collect_rays, draw_rays, follow_rays, make_rays
 from ..kernels.scene_light import ask_scene
@@ -84,12 +85,12 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
     Ignores bounces after the first, refraction, and what is invisible to the camera but not to reflections.
     """
     g = frame.gbuffer
-    step = step_of_pixels(frame, params.lattice_px)
+    step, is_bright = step_of_pixels(frame, params.lattice_px)
     if not step.any():
-        return _coloured(frame, np.zeros((*g.shape, FILTERED), np.float32), False, context, {"rays": 0})
+        return _coloured(frame, np.zeros((*g.shape, FILTERED), np.float32), step, False, context, {"rays": 0})
     fallback = _fallback_of(frame, params, context)
-    tracer = _Tracer(frame, params, context, fallback, seed)
-    traced = traced_pixels(step)
+    tracer = _Tracer(frame, params, context, fallback, is_bright, seed)
+    traced = on_lattice(step)
     tracer.trace(step, traced)
     context.checkpoint("Filter reflections", 0.0)
     surface = (tracer.screen, g.roughness)
@@ -103,43 +104,36 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
         blur = blur_of_pixels(tracer.results, *surface, step, weak, f32(FILTER_REACH))
         smooth[weak] = smooth_reflections(tracer.results, blur, weak, *surface, step, weak, FILTER_RADIUS)[weak]
     weak_share = float(np.count_nonzero(weak) / np.count_nonzero(step))
-    return _coloured(frame, smooth, fallback == "CONES", context, tracer.diagnostics | {"weak_share": weak_share})
+    return _coloured(frame, smooth, step, fallback == "CONES", context, tracer.diagnostics | {"weak_share": weak_share})
 
 
-def _coloured(frame: Frame, smooth: np.ndarray, adds_earlier: bool, context: Context,
+def _coloured(frame: Frame, smooth: np.ndarray, step: np.ndarray, adds_earlier: bool, context: Context,
               diagnostics: dict[str, float]) -> PassResult:
     """The result from means over the lobe (H, W, FILTERED); what is not known of it is filled with earlier glossy light."""
-    sums = np.maximum(smooth[..., WEIGHT], np.float32(1e-6))
-    colour = frame.gbuffer.specular / sums[..., None]
+    specular = frame.gbuffer.specular
     if not frame.keeps_energy:
-        colour *= share_not_hidden(frame)[..., None]
+        specular = specular * share_not_hidden(frame)[..., None]
     shines = not frame.world.is_black or frame.gbuffer.emission.any() or (
         frame.geometry is not None and frame.geometry.emission.any())
-    light = {Transport.BOUNCE_GLOSSY: smooth[..., :3] * colour,
-             Transport.WORLD_GLOSSY: smooth[..., 3:6] * colour if shines else np.zeros_like(colour)}
+    bounce, around = colour_pixels(smooth, step, specular, shines)
+    light = {Transport.BOUNCE_GLOSSY: bounce, Transport.WORLD_GLOSSY: around}
     earlier = [t for t in light if adds_earlier and t in context.light]
     for transport in earlier:
-        light[transport] += np.clip(1 - smooth[..., SHARE] / sums, 0, 1)[..., None] * context.light[transport]
+        known = smooth[..., SHARE] / np.maximum(smooth[..., WEIGHT], LEAST_SUM)
+        light[transport] += np.clip(1 - known, 0, 1)[..., None] * context.light[transport]
     return PassResult(light, diagnostics=diagnostics, takes_over=frozenset(earlier))
 
 
-def step_of_pixels(frame: Frame, lattice_px: int) -> np.ndarray:
-    """(H, W) int64: the lattice that each pixel belongs to, 1 for every pixel; 0 where nothing is reflected."""
-    surface = frame.gbuffer
-    alpha = surface.roughness**2
-    step = np.ones(surface.shape, np.int64)
-    for least, size in reversed(STEPS):
-        step[alpha >= least] = min(size, lattice_px)
-    r, g, b = (surface.specular[..., c] for c in range(3))
-    step[~(surface.mask & (np.maximum(np.maximum(r, g), b) > NEGLIGIBLE))] = 0
-    return step
+def step_of_pixels(frame: Frame, lattice_px: int) -> tuple[np.ndarray, np.ndarray]:
+    """(step (H, W) int64, is_bright (H, W) bool) of a frame's pixels.
 
-
-def traced_pixels(step: np.ndarray) -> np.ndarray:
-    """(H, W) bool: the pixels that lie on their own lattice."""
-    rows, columns = np.arange(step.shape[0])[:, None], np.arange(step.shape[1])[None]
-    safe = np.maximum(step, 1)
-    return (step > 0) & (rows % safe == 0) & (columns % safe == 0)
+    The step is of the lattice that a pixel belongs to, 1 for every pixel, 0 where nothing is reflected; bright ones take
+    BRIGHT_SHARE times the rays.
+    """
+    g = frame.gbuffer
+    alphas, sizes = zip(*reversed(STEPS), strict=True)
+    return sort_pixels(g.mask, g.roughness, g.specular, np.array(alphas, np.float32), np.minimum(sizes, lattice_px),
+                       NEGLIGIBLE, BRIGHT, MIRROR_ROUGHNESS)
 
 
 def _fallback_of(frame: Frame, params: SsrParams, context: Context) -> str:
@@ -172,7 +166,7 @@ def share_not_hidden(frame: Frame) -> np.ndarray:
 class _Tracer:
     """Traces pixels of a frame, tile by tile; keeps their results (H, W, NEARNESS + 1) and counts of what it took."""
 
-    def __init__(self, frame: Frame, params: SsrParams, context: Context, fallback: str, seed: int):
+    def __init__(self, frame: Frame, params: SsrParams, context: Context, fallback: str, is_bright: np.ndarray, seed: int):
         g = frame.gbuffer
         geometry = frame.geometry if frame.geometry is not None else Geometry.empty()
         has_rays = fallback == "RAYS"
@@ -181,17 +175,16 @@ class _Tracer:
         pyramid = build_pyramid(screen, SLACK_PX, 0.0 if has_rays else params.thickness * frame.scale_m,
                                 self._looks_at_picture)
         lit = context.light.get(Transport.DIRECT_DIFFUSE)
-        irradiance = np.zeros(g.shape, np.float32) if lit is None else lit @ np.full(3, 1 / 3, np.float32)
+        irradiance = np.zeros(g.shape, np.float32) if lit is None else mean_colour(lit)
         gloss = Gloss(leave_surfaces(frame, context, _DIRECT), g.emission, irradiance, g.specular, g.roughness, g.f0,
                       albedo_table(frame.keeps_energy))
         bvh = context.bvh(frame.geometry) if has_rays else build_bvh(np.zeros((0, 3, 3), np.float32))
         reach_m = reach_out_m(frame, bvh)
         fade_px = params.edge_fade * min(g.shape)
-        # a mirror shows itself by one ray
-        self._is_bright = (np.max([g.specular[..., c] for c in range(3)], 0) > BRIGHT) & (g.roughness > MIRROR_ROUGHNESS)
         self.results = np.zeros((*g.shape, NEARNESS + 1), np.float32)
         self.counts = {"rays": 0, "steps": 0, "hits": 0, "asked": 0, "traced_pixels": 0}
         self._params, self._context, self._seed, self._is_left_open = params, context, seed, fallback == "CONES"
+        self._is_bright = is_bright
         self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays,
                             has_rays, f32(fade_px), f32(frame.ray_offset_m), f32(reach_m))
         self.screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
@@ -200,10 +193,11 @@ class _Tracer:
 
     def trace(self, step: np.ndarray, wanted: np.ndarray) -> None:
         """Reflect the `wanted` pixels (H, W) bool with the rays that a pixel of their step and brightness takes."""
-        for size in np.unique(step[wanted]):
+        kind = (2 * step.astype(np.uint8) + self._is_bright) * wanted
+        for size in range(1, 1 + int(step.max())):
             for is_bright in (False, True):
-                index = np.flatnonzero(wanted & (step == size) & (self._is_bright == is_bright))
-                share = int(size) ** 2 / BLOCK_PIXELS * (BRIGHT_SHARE if is_bright else 1)
+                index = np.flatnonzero(kind == 2 * size + is_bright)
+                share = size**2 / BLOCK_PIXELS * (BRIGHT_SHARE if is_bright else 1)
                 samples = max(1, round(self._params.samples * share))
                 tile = max(TILE_RAYS // samples, 1)
                 for first in range(0, len(index), tile):

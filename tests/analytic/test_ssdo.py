@@ -48,7 +48,7 @@ def strip_frame(kind: str, angle_rad: float = math.pi / 2, height_m: float = 0.8
     seen = cast_view(camera, geometry)
     is_wall = seen.mask & ~((seen.normal_ws[..., 2] > 0.99) & (np.abs(seen.position_ws[..., 2]) < 1e-4))
     at_middle = seen.mask & ~is_wall & (np.abs(seen.position_ws[..., 0]) < 0.3)
-    seen = dataclasses.replace(seen, albedo=np.where(is_wall[..., None], np.float32(1), np.float32(0)))
+    seen = dataclasses.replace(seen, albedo=np.repeat(is_wall[..., None], 3, -1).astype(np.float32))
     return Frame(camera, seen, (), (), geometry), is_wall, np.where(at_middle, -seen.position_ws[..., 1], np.inf)
 
 
@@ -144,7 +144,7 @@ def test_the_balanced_preset_gives_the_form_factor_of_a_wall_that_ends():
     camera = Camera(Projection.PERSPECTIVE, looking(EYE, AIM, (0, 0, 1)), 240, 60, -0.7, 0.7, -0.175, 0.175)
     seen = cast_view(camera, geometry)
     is_wall = np.abs(seen.normal_ws[..., 1]) > 0.5
-    seen = dataclasses.replace(seen, albedo=np.where(is_wall[..., None], np.float32(1), np.float32(0)))
+    seen = dataclasses.replace(seen, albedo=np.repeat(is_wall[..., None], 3, -1).astype(np.float32))
     frame = Frame(camera, seen, (), (), geometry)
     context = Context()
     three = np.where(is_wall[..., None], np.float32(3), np.float32(0)) * np.ones(3, np.float32)

@@ -12,9 +12,10 @@ from rtgi_addon.core.synthetic import make_room_frame
 from rtgi_addon.core.techniques import SsrParams, default_settings
 from rtgi_addon.core.transforms import Camera, Projection
 from rtgi_addon.errors import Cancelled
+from rtgi_addon.kernels.gloss_pixels import on_lattice
 from rtgi_addon.kernels.jit import kernel_session
 from rtgi_addon.passes.base import Context, Transport
-from rtgi_addon.passes.ssr import compute_ssr, step_of_pixels, traced_pixels
+from rtgi_addon.passes.ssr import compute_ssr, step_of_pixels
 from rtgi_addon.planner import CapturePlan, plan_frame
 from tests.mirror_frames import camera_at, glossy, lit, on_floor, painted, room_from_above, scene_frame, wall
 from tests.moved_frames import moved, turn
@@ -125,8 +126,8 @@ def test_moving_everything_changes_nothing(room):
 
 
 def test_lattice_of_rough_pixels_holds_that_of_smooth_ones(room):
-    step = step_of_pixels(room, 4)
-    traced = traced_pixels(step)
+    step, _ = step_of_pixels(room, 4)
+    traced = on_lattice(step)
     assert set(np.unique(step)) == {0, 1, 2, 4}
     assert traced[(step == 1)].all() and not traced[step == 0].any()
     assert (traced[::4, ::4] == (step[::4, ::4] > 0)).all()

@@ -44,7 +44,7 @@ def corner_frame(kind: str, width: int = 96, height: int = 64) -> tuple[Frame, n
         turned = view_from(eye, (1.6, 0.4, 0.5), 0.36, width, height, (0, 0, 1))
         camera = dataclasses.replace(turned, left=-0.28, right=0.56, bottom=-0.30, top=0.26)
     seen = cast_view(camera, geometry)
-    seen = dataclasses.replace(seen, albedo=np.where(seen.mask[..., None], np.float32(0.5), np.float32(0)))
+    seen = dataclasses.replace(seen, albedo=np.where(seen.mask[..., None], np.full(3, 0.5, np.float32), np.float32(0)))
     corners = camera.project(np.array(geometry.corners_ws.reshape(-1, 3), float))
     assert all((c > 0).all() and (c < size).all() for c, size in zip(corners, (width, height), strict=False))
     light = np.ones((height, width, 3), np.float32)

@@ -11,7 +11,7 @@ import pytest
 
 from rtgi_addon.kernels import jit
 from rtgi_addon.kernels.bvh import build_bvh
-from rtgi_addon.kernels.jit import kernel_session
+from rtgi_addon.kernels.jit import device_jit, kernel_session, prefetch, select
 from rtgi_addon.kernels.pilot import cast_rays
 
 
@@ -73,3 +73,18 @@ def test_a_kernel_that_borrows_its_arguments_leaves_them_to_their_owner():
         distance, *_ = cast_rays(origin, direction, bvh, np.float32(0), np.float32(10))
     assert np.allclose(distance, 1, rtol=1e-6)   # float32
     assert [sys.getrefcount(part) for part in bvh] == held
+
+
+@device_jit
+def _larger_halves(numbers, out):
+    for k in range(numbers.shape[0]):
+        prefetch(numbers, k)
+        is_large, half = numbers[k] > np.float32(1), np.float32(0.5) * numbers[k]
+        out[0, k], out[1, k] = select(is_large, numbers[k], out[0, k]), select(is_large, half, out[1, k])
+
+
+def test_selects_take_the_number_that_their_condition_names():
+    numbers, out = np.array([0, 1, 2, np.nan, 4, np.inf] * 8, np.float32), np.full((2, 48), -1, np.float32)
+    _larger_halves(numbers, out)
+    assert np.array_equal(out[0], np.where(numbers > 1, numbers, -1))
+    assert np.array_equal(out[1], np.where(numbers > 1, numbers / 2, -1))

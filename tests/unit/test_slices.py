@@ -93,8 +93,8 @@ def test_rear_lies_on_the_viewers_ray_and_inside_the_sphere():
 
 @pytest.mark.parametrize("count", range(65))
 def test_bits_below_a_count(count):
-    assert int(bits_below(np.uint32(count))) == (1 << count) - 1
-    assert count_bits(np.uint64(bits_below(np.uint32(count)))) == count
+    assert int(bits_below(np.int32(count))) == (1 << count) - 1
+    assert count_bits(np.uint64(bits_below(np.int32(count)))) == count
 
 
 def test_bits_are_counted_by_byte(rng):
