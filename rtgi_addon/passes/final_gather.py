@@ -67,7 +67,8 @@ def compute_final_gather(frame: Frame, params: FinalGatherParams, context: Conte
     around = around._replace(albedo=np.minimum(around.albedo + specular[:, None], 1),
                              substance=around.substance * np.float32([0, 0, 0, 1, 1]))
     nothing = np.zeros(g.shape, np.float32)
-    gloss = Gloss(leaving, black, nothing, black, g.roughness, nothing, albedo_table(frame.keeps_energy))
+    matt = np.ones_like(g.roughness)
+    gloss = Gloss(leaving, black, nothing, black, matt, nothing, albedo_table(frame.keeps_energy))
     rules = Rules(0, 1.0, True, True, f32(0), f32(frame.ray_offset_m), f32(reach_m))
     lights = pack_lights((), reach_m)
 
