@@ -47,9 +47,9 @@ def warm_up(threads: int = 0) -> Iterator[Step]:
     start = time.perf_counter()
     with kernel_session(threads):
         bvh = context.bvh(frame.geometry)
-        for index, light in enumerate(frame.lights):
+        for light in frame.lights:
             camera = light_views.camera_of(light, frame, bvh, ViewFormat(192))
-            light_views.cast_view(index, light, camera, frame, bvh)
+            light_views.cast_view(light, camera, frame, bvh)
     yield Step("light views", time.perf_counter() - start)
     for name, kind in TECHNIQUE_PARAMS.items():
         for words, params in variants(kind()):
