@@ -232,6 +232,7 @@ class RTGIEngine(bpy.types.RenderEngine):
         """Frame of this view layer: triangles, the camera's view, each light's view, the world."""
         from . import light_views, planner
         from .kernels.jit import kernel_session
+        from .passes.surroundings import surroundings_of
 
         context.checkpoint("Read triangles", 0.0)
         with stages("triangles"):
@@ -256,6 +257,7 @@ class RTGIEngine(bpy.types.RenderEngine):
         captured = []
         with stages("bvh"), kernel_session(settings.threads):
             bvh = context.bvh(geometry)
+            around = surroundings_of(frame, geometry) if plan.cast_views else None
         for number, i in enumerate((*plan.cycles_views, *plan.cast_views)):
             light = self._lights[i]
             context.checkpoint(f"View of {light.name}", 0.1 + 0.3 * number / len(self._lights))
@@ -271,7 +273,7 @@ class RTGIEngine(bpy.types.RenderEngine):
                 seen = self._kept.find(light, light_camera, near_m)
                 if seen is None and cast:
                     with kernel_session(settings.threads):
-                        seen = light_views.cast_view(light, light_camera, frame, bvh)
+                        seen = light_views.cast_view(light, light_camera, frame, bvh, around)
                 elif seen is None:
                     with views.looking_through(light_camera, near_m, far_m):
                         seen = views.to_gbuffer(views.passes(light_camera), light_camera)

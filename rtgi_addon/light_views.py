@@ -12,9 +12,9 @@ from .core.transforms import Camera, Projection, ViewFormat
 from .kernels.brdf import albedo_table, mean_albedo_table
 from .kernels.bvh import Bvh
 from .kernels.pilot import lit_hits
+from .kernels.scene_light import Surroundings
 from .kernels.scene_view import see_triangles
 from .kernels.vec3 import f32, vector
-from .passes.surroundings import surroundings_of
 
 PILOT_PIXELS, PILOT_RAYS = 2048, 12
 TRIM = 0.0015               # share of the pilot's points cut off at each edge of a sun's view
@@ -103,8 +103,11 @@ def clip_range_m(light: Light, camera: Camera, frame: Frame) -> tuple[float, flo
     return near, 2 * farthest + scale + 1e-3
 
 
-def cast_view(light: Light, camera: Camera, frame: Frame, bvh: Bvh) -> GBuffer:
-    """What a lamp sees, by rays through the triangles: geometric normals, colours as sampled at the corners."""
+def cast_view(light: Light, camera: Camera, frame: Frame, bvh: Bvh, around: Surroundings) -> GBuffer:
+    """What a lamp sees, by rays through the triangles: geometric normals, colours as sampled at the corners.
+
+    `around`: the frame's, by `passes.surroundings`; the same for all lamps.
+    """
     rotation, shape = camera.world_from_view[:3, :3].T, (camera.height_px, camera.width_px)
     origin, direction = ((rays.reshape(-1, 3) @ rotation) for rays in camera.rays_vs())
     near, far = clip_range_m(light, camera, frame)
@@ -113,7 +116,7 @@ def cast_view(light: Light, camera: Camera, frame: Frame, bvh: Bvh) -> GBuffer:
     position, albedo, specular, emission = (np.zeros((number, 3), np.float32) for _ in range(4))
     roughness, f0 = np.ones(number, np.float32), np.zeros(number, np.float32)
     see_triangles(number, (origin + camera.position_ws).astype(np.float32), direction.astype(np.float32), bvh,
-                  surroundings_of(frame, frame.geometry), albedo_table(frame.keeps_energy),
+                  around, albedo_table(frame.keeps_energy),
                   mean_albedo_table(frame.keeps_energy), f32(near), f32(far), depth, position, normal, albedo, specular,
                   roughness, f0)
     return GBuffer(*(values.reshape(*shape, *values.shape[1:])

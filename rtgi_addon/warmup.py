@@ -40,16 +40,17 @@ def warm_up(threads: int = 0) -> Iterator[Step]:
     from .kernels.jit import kernel_session
     from .passes import technique
     from .passes.base import Context
+    from .passes.surroundings import surroundings_of
 
     frame = make_room_frame(32, 24, tuple(LightKind), world_radiance=0.5)
     context = Context()
     yield Step("loading", time.perf_counter() - start)
     start = time.perf_counter()
     with kernel_session(threads):
-        bvh = context.bvh(frame.geometry)
+        bvh, around = context.bvh(frame.geometry), surroundings_of(frame, frame.geometry)
         for light in frame.lights:
             camera = light_views.camera_of(light, frame, bvh, ViewFormat(192))
-            light_views.cast_view(light, camera, frame, bvh)
+            light_views.cast_view(light, camera, frame, bvh, around)
     yield Step("light views", time.perf_counter() - start)
     for name, kind in TECHNIQUE_PARAMS.items():
         for words, params in variants(kind()):

@@ -35,8 +35,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "budget": frozenset({"rtgi_addon.core", "rtgi_addon.kernels.jit", "rtgi_addon.kernels.probe", "rtgi_addon.planner"}),
     "composite": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.passes", "rtgi_addon.errors"}),
     "frameio": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.errors"}),
-    "light_views": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.kernels", "rtgi_addon.passes.surroundings",
-                              "rtgi_addon.errors"}),
+    "light_views": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.kernels", "rtgi_addon.errors"}),
     "pipeline": frozenset({
         "numpy", "numba", "rtgi_addon", "rtgi_addon.composite", "rtgi_addon.core", "rtgi_addon.errors",
         "rtgi_addon.kernels.embree", "rtgi_addon.kernels.jit", "rtgi_addon.passes", "rtgi_addon.planner"}),

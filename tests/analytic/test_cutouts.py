@@ -16,6 +16,7 @@ from rtgi_addon.kernels.gather import gather_visible
 from rtgi_addon.light_views import cast_view as cast_light_view
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.direct import compute_direct
+from rtgi_addon.passes.surroundings import surroundings_of
 from rtgi_addon.passes.world import compute_world
 from tests.plane_frames import frame_of, geometry_of, looking, quad, view_from
 
@@ -120,7 +121,8 @@ def test_a_view_by_rays_meets_a_pane_as_often_as_it_is_opaque_and_sees_its_true_
     frame = frame_of(geometry, cast_view(camera, geometry), camera, light)
     frame = dataclasses.replace(frame, materials=(Material("grey", specular=(0, 0, 0)),))
     eye = view_from((0, 0, 2), (0, 0, 0), 0.9, 64, 64)
-    seen = cast_light_view(light, eye, frame, build_bvh(geometry.corners_ws, geometry.cutouts))
+    seen = cast_light_view(light, eye, frame, build_bvh(geometry.corners_ws, geometry.cutouts),
+                           surroundings_of(frame, geometry))
     on_pane = seen.position_ws[..., 2] > 0.5
     # four standard deviations of 4096 draws
     assert on_pane.mean() == pytest.approx(LEVEL / 255, abs=4 * np.sqrt(0.3 * 0.7 / 4096))

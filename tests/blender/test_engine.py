@@ -137,6 +137,7 @@ def test_cast_view_takes_the_place_of_a_cycles_view_under_a_border(bpy_session, 
 def test_cast_view_has_the_colours_of_a_cycles_view(bpy_session, small_scene, captured):
     from rtgi_addon import light_views
     from rtgi_addon.passes.base import Context
+    from rtgi_addon.passes.surroundings import surroundings_of
 
     add_lamp(bpy_session, small_scene, "SPOT", **LAMPS["SPOT"])
     material = bpy_session.data.materials.new("Glossy")
@@ -150,7 +151,8 @@ def test_cast_view_has_the_colours_of_a_cycles_view(bpy_session, small_scene, ca
     frame = captured(bpy_session)
     (view,) = frame.views
     seen = view.gbuffer
-    cast = light_views.cast_view(frame.lights[0], view.camera, frame, Context().bvh(frame.geometry))
+    cast = light_views.cast_view(frame.lights[0], view.camera, frame, Context().bvh(frame.geometry),
+                                 surroundings_of(frame, frame.geometry))
     both = seen.mask & cast.mask
     assert both.mean() > 0.3
     close = both & (np.abs(np.where(both, cast.depth, 0) - np.where(both, seen.depth, 0)) < 1e-3)
