@@ -22,15 +22,15 @@ import numpy as np
 
 from ..core.frame import Frame, Geometry
 from ..core.techniques import SsrParams
-from ..core.transforms import Projection, normalized
-from ..kernels.brdf import GAIN_STEPS, albedo_table
+from ..kernels.brdf import albedo_table
 from ..kernels.bvh import build_bvh
 from ..kernels.depth_pyramid import build_pyramid
-from ..kernels.gloss_filter import FILTERED, blur_of_pixels, smooth_reflections, spread_reflections
+from ..kernels.gloss_filter import blur_of_pixels, smooth_reflections, spread_reflections
 from ..kernels.gloss_pixels import LEAST_SUM, colour_pixels, mean_colour, on_lattice, sort_pixels
 from ..kernels.lit_hits import Gloss
 from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Rules, collect_rays, draw_rays, follow_rays, make_rays
 from ..kernels.scene_light import ask_scene
+from ..kernels.screen import Screen
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .screen import MIRROR_ROUGHNESS, screen_of
@@ -50,6 +50,7 @@ WEAK_STEP = 2               # rays of a pixel that the lattice cannot serve are 
 TILE_RAYS = 1 << 17         # rays between two looks at Esc
 
 _DIRECT = (Transport.DIRECT_DIFFUSE, Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE)
+_GLOSSY = (Transport.BOUNCE_GLOSSY, Transport.WORLD_GLOSSY)
 _TOP = {"TRIANGLES": 99, "HIERARCHY": 99, "DDA": 0, "LINEAR": -1}    # the first where there are no triangles to ask
 
 
@@ -87,7 +88,7 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
     g = frame.gbuffer
     step, is_bright = step_of_pixels(frame, params.lattice_px)
     if not step.any():
-        return _coloured(frame, np.zeros((*g.shape, FILTERED), np.float32), step, False, context, {"rays": 0})
+        return PassResult({transport: np.zeros_like(g.specular) for transport in _GLOSSY}, diagnostics={"rays": 0})
     fallback = _fallback_of(frame, params, context)
     tracer = _Tracer(frame, params, context, fallback, is_bright, seed)
     traced = on_lattice(step)
@@ -104,19 +105,19 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
         blur = blur_of_pixels(tracer.results, *surface, step, weak, f32(FILTER_REACH))
         smooth[weak] = smooth_reflections(tracer.results, blur, weak, *surface, step, weak, FILTER_RADIUS)[weak]
     weak_share = float(np.count_nonzero(weak) / np.count_nonzero(step))
-    return _coloured(frame, smooth, step, fallback == "CONES", context, tracer.diagnostics | {"weak_share": weak_share})
+    diagnostics = tracer.diagnostics | {"weak_share": weak_share}
+    return _coloured(frame, smooth, step, tracer.screen, fallback == "CONES", context, diagnostics)
 
 
-def _coloured(frame: Frame, smooth: np.ndarray, step: np.ndarray, adds_earlier: bool, context: Context,
+def _coloured(frame: Frame, smooth: np.ndarray, step: np.ndarray, screen: Screen, adds_earlier: bool, context: Context,
               diagnostics: dict[str, float]) -> PassResult:
     """The result from means over the lobe (H, W, FILTERED); what is not known of it is filled with earlier glossy light."""
-    specular = frame.gbuffer.specular
-    if not frame.keeps_energy:
-        specular = specular * share_not_hidden(frame)[..., None]
-    shines = not frame.world.is_black or frame.gbuffer.emission.any() or (
+    g = frame.gbuffer
+    hidden = albedo_table(True)[:0 if frame.keeps_energy else None]
+    shines = not frame.world.is_black or g.emission.any() or (
         frame.geometry is not None and frame.geometry.emission.any())
-    bounce, around = colour_pixels(smooth, step, specular, shines)
-    light = {Transport.BOUNCE_GLOSSY: bounce, Transport.WORLD_GLOSSY: around}
+    bounce, around = colour_pixels(smooth, step, screen, g.roughness, g.specular, hidden, shines)
+    light = dict(zip(_GLOSSY, (bounce, around), strict=True))
     earlier = [t for t in light if adds_earlier and t in context.light]
     for transport in earlier:
         known = smooth[..., SHARE] / np.maximum(smooth[..., WEIGHT], LEAST_SUM)
@@ -142,25 +143,6 @@ def _fallback_of(frame: Frame, params: SsrParams, context: Context) -> str:
     if fallback == "CONES" and Transport.BOUNCE_GLOSSY not in context.light:
         fallback = "RAYS"
     return "WORLD" if fallback == "RAYS" and frame.geometry is None else fallback
-
-
-def share_not_hidden(frame: Frame) -> np.ndarray:
-    """(H, W) float32: what a lobe of single scattering reflects of what Glossy Color says.
-
-    Cycles' pass does not tell what the microfacets hide from each other: 12 % at roughness 0.5 and grazing view.
-    """
-    g = frame.gbuffer
-    if frame.camera.projection is Projection.ORTHOGRAPHIC:
-        viewer = frame.camera.world_from_view[:3, 2].astype(np.float32)
-    else:
-        viewer = normalized(frame.camera.position_ws.astype(np.float32) - g.position_ws)
-    cosine, alpha = (g.normal_ws * viewer).sum(-1), g.roughness**2
-    table = np.minimum(albedo_table(True)[..., 0], 1)
-    x, y = (np.clip(v * GAIN_STEPS - 0.5, 0, GAIN_STEPS - 1.001) for v in (cosine, alpha))
-    i, j = x.astype(np.int64), y.astype(np.int64)
-    s, t = x - i, y - j
-    return ((1 - s) * ((1 - t) * table[i, j] + t * table[i, j + 1])
-            + s * ((1 - t) * table[i + 1, j] + t * table[i + 1, j + 1])).astype(np.float32)
 
 
 class _Tracer:
@@ -229,4 +211,4 @@ class _Tracer:
 
 
 TECHNIQUE = Technique("ssr", "Screen-Space Reflections", SsrParams, compute_ssr,
-                      frozenset({Transport.BOUNCE_GLOSSY, Transport.WORLD_GLOSSY}), needs_geometry=True)
+                      frozenset(_GLOSSY), needs_geometry=True)
