@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from .fastmath import on_circle
 from .jit import device_jit, inline_jit
 from .vec3 import ONE, ZERO, Vec3, add, dot, f32, normalized_or, scaled, tangent_frame, to_world
 
@@ -77,10 +78,10 @@ def sample_lobe(normal, fixed, alpha, u, v):
     standard = Vec3(alpha * x / size, alpha * y / size, z / size)
     spread = (ONE + math.sqrt(sin2)) * (ONE + math.sqrt(sin2))
     k = (ONE - alpha2) * spread / (spread + alpha2 * z * z)
-    phi, lowest = f32(2 * math.pi) * u, k * standard.z
+    (x_cap, y_cap), lowest = on_circle(u), k * standard.z
     cap_z = (ONE - v) * (ONE + lowest) - lowest
     cap_r = math.sqrt(min(max(ONE - cap_z * cap_z, ZERO), ONE))
-    h = normalized_or(Vec3(alpha * (cap_r * math.cos(phi) + standard.x), alpha * (cap_r * math.sin(phi) + standard.y),
+    h = normalized_or(Vec3(alpha * (cap_r * x_cap + standard.x), alpha * (cap_r * y_cap + standard.y),
                            cap_z + standard.z), Vec3(ZERO, ZERO, ONE))
     twice = f32(2) * (h.x * x + h.y * y + h.z * z)
     out = Vec3(twice * h.x - x, twice * h.y - y, max(twice * h.z - z, f32(1e-5)))

@@ -155,8 +155,8 @@ def _regress_lattice(begin, end, light, pilot, position, normal, mask, rcp_toler
                         continue
                     difference = pilot[u, v, 0] - pilot[i, j, 0]
                     noise = pilot[u, v, 1] + pilot[i, j, 1]
-                    k *= math.exp(-difference * difference / (contrast * contrast * noise + f32(1e-4) * pilot[i, j, 0] ** 2
-                                                              + f32(1e-30)))
+                    k *= falloff(difference * difference / (contrast * contrast * noise + f32(1e-4) * pilot[i, j, 0] ** 2
+                                                            + f32(1e-30)))
                     r2 = f32((u - i) * (u - i) + (v - j) * (v - j)) / f32((radius + 1) * (radius + 1))
                     k *= max(ZERO, ONE - r2)
                     d = sub(q, p)

@@ -36,7 +36,7 @@ from .clusters import (
     RADIUS,
     TO_LIGHT,
 )
-from .jit import borrowed, inline_jit, pixel_jit
+from .jit import borrowed, inline_jit, pixel_jit, scratch
 from .sampling import disk, dither, near_weight, uniform
 from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, lifted, load, load_column, scaled, sub, tangent_frame
 
@@ -264,8 +264,8 @@ def _gather_at(p, n, place, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
 def _gather_visible(begin, end, position, normal, places, clusters, eps2, bvh, rays, offset_m, seed, out):
     clusters, bvh = borrowed((clusters, bvh))
     n_clusters = clusters.table.shape[1]
-    w, at, stack = np.empty(n_clusters, np.float32), np.empty(n_clusters, np.int32), np.empty(STACK, np.int32)
-    gives_near = np.empty(NEAR_TEXELS, np.float32)
+    w, at, stack = np.empty(n_clusters, np.float32), np.empty(n_clusters, np.int32), scratch(STACK, np.int32)
+    gives_near = scratch(NEAR_TEXELS, np.float32)
     for m in range(begin, end):
         p, n = load(position, m), load(normal, m)
         out[m, 0], out[m, 1], out[m, 2], out[m, 3], out[m, 4] = _gather_at(

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from .bvh import STACK, Bvh
-from .jit import borrowed, device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit, scratch
 from .light_grid import HALF, LightGrid, corner_weights, trilinear_weights
 from .vec3 import ONE, ZERO, along, f32, load
 
@@ -226,7 +226,7 @@ def _interpolated(total, i, j, k, w, a, c):
 @pixel_jit
 def _irradiance(begin, end, position, normal, total, grid, bvh, offset_m, by_sight, damps, scale, out):
     grid, bvh = borrowed((grid, bvh))
-    w, back, stack = np.empty(16, np.float32), np.empty(8, np.float32), np.empty(STACK, np.int32)
+    w, back, stack = np.empty(16, np.float32), np.empty(8, np.float32), scratch(STACK, np.int32)
     here, behind = np.empty(4, np.float32), np.empty(4, np.float32)
     for m in range(begin, end):
         p, n = load(position, m), load(normal, m)

@@ -13,9 +13,9 @@ import math
 
 import numpy as np
 
-from .fastmath import PI, fast_sin, fraction
+from .fastmath import PI, TWO_PI, fast_sin, fraction
 from .jit import borrowed, device_jit, inline_jit, pixel_jit, select
-from .sampling import TWO_PI, dither, place_id
+from .sampling import dither, place_id
 from .screen import TINY, point_vs, seen_normal_vs, to_viewer_vs, turn_to_world
 from .shadow import ORTHOGRAPHIC
 from .slices import (

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .brdf import fresnel, ggx_lobe, sample_lobe
+from .fastmath import on_circle
 from .jit import borrowed, device_jit, pixel_jit
 from .sampling import disk, r2_sequence
 from .vec3 import ONE, ZERO, Vec3, cross, dot, f32, length, load, normalized_or, scaled, sub, tangent_frame
@@ -169,8 +170,8 @@ def pilot_point(lamp, i, turn):
     radius = f32(0.96) if i < 4 else f32(0.5)
     if lamp.kind == RECTANGLE_LAMP:
         return radius * (ONE if i & 1 else -ONE), radius * (ONE if i & 2 else -ONE)
-    angle = (f32(i) + turn + (ZERO if i < 4 else HALF)) * f32(math.pi / 2)
-    return radius * math.cos(angle), radius * math.sin(angle)
+    x, y = on_circle(f32(0.25) * (f32(i) + turn + (ZERO if i < 4 else HALF)))
+    return radius * x, radius * y
 
 
 @device_jit

@@ -15,7 +15,7 @@ import numpy as np
 from .brdf import INV_PI, fit_lobe, fresnel, ggx_lobe, lobe_albedos
 from .bvh import visibility
 from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y, width_at
-from .jit import device_jit
+from .jit import device_jit, inline_jit
 from .lamps import LEAST_ALPHA, Lamp, lamp_at, lamp_place
 from .screen import HALF
 from .vec3 import ONE, ZERO, Vec3, add, begun, dot, f32, lifted, normalized_or, scaled, sub
@@ -52,7 +52,7 @@ class Lights(NamedTuple):
     shadows: np.ndarray
 
 
-@device_jit
+@inline_jit
 def lit_there(s, planes, gloss, column, row, h, slope_x, slope_y, light):
     """Light that the picture shows at a place of height h into `light` (6,); False where no pixel shows that surface.
 
@@ -108,7 +108,7 @@ def softened(roughness, receiver):
     return math.sqrt(math.sqrt(own * own + other * other))
 
 
-@device_jit
+@inline_jit
 def _lamp(lights, k):
     shape = lights.shapes[k]
     return Lamp(lights.kinds[k], lights.places[k], shape[0], shape[1], shape[2], shape[3], shape[4], shape[5], shape[6])
@@ -123,7 +123,7 @@ def _given(lights, k, albedo, diffuse, specular, glossy):
                 w[2] * albedo.z * diffuse + w[5] * specular.z * glossy)
 
 
-@device_jit
+@inline_jit
 def light_of_lamps(bvh, lights, stack, p, n, towards, albedo, specular, roughness, known_f0, albedos, offset_m, u, v, pick):
     """Radiance that point p, normal n, sends along `towards` of the lamps' light: one shadow ray, to a lamp drawn by share.
 
@@ -164,7 +164,7 @@ def light_of_lamps(bvh, lights, stack, p, n, towards, albedo, specular, roughnes
     return scaled(light, arrives * total / kept)
 
 
-@device_jit
+@inline_jit
 def gloss_of_lamps(lights, p, n, towards, viewer, specular, roughness, known_f0, irradiance, albedos, u, v):
     """Radiance that the glossy lobe of a surface in the picture sends along `towards` of the lamps' light.
 

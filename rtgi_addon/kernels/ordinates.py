@@ -16,7 +16,7 @@ import numpy as np
 from .brdf import albedo_table, fresnel, ggx_lobe, lobe_albedos
 from .bvh import STACK, Bvh
 from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
-from .jit import borrowed, device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit, scratch
 from .light_grid import RAMP, LightGrid, seen_cells, trilinear_weights
 from .vec3 import ONE, ZERO, Vec3, dot, f32, load, load_column
 
@@ -135,7 +135,7 @@ def _glossy_lobe(lobe, n, to_light, alpha2, f0, direction, solid_angle, albedos,
 def _prepare(begin, end, table, grid, bvh, offset_m, direction, solid_angle, albedos, least_alpha, diffuse, glossy, corner,
              seen):
     grid, bvh = borrowed((grid, bvh))
-    stack = np.empty(STACK, np.int32)
+    stack = scratch(STACK, np.int32)
     for t in range(begin, end):
         n = load_column(table, NORMAL, t)
         corner[t, 0], corner[t, 1], corner[t, 2] = seen_cells(load_column(table, POSITION, t), n, grid, bvh, stack,
@@ -376,7 +376,7 @@ def _irradiance(begin, end, position, normal, flux, grid, bvh, offset_m, directi
     grid, bvh = borrowed((grid, bvh))
     quadrant = solid_angle.shape[0] // 4
     inv = ONE / grid.cell_m
-    stack, seen, light = np.empty(STACK, np.int32), np.empty(64, np.bool_), np.empty(3, np.float32)
+    stack, seen, light = scratch(STACK, np.int32), np.empty(64, np.bool_), np.empty(3, np.float32)
     x, n, corner = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.int64)
     lobe, mean = np.empty(quadrant, np.float32), np.empty(3 * quadrant, np.float32)
     for m in range(begin, end):

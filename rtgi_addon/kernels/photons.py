@@ -17,7 +17,7 @@ import numpy as np
 
 from .brdf import fit_lobe, fresnel, sample_lobe
 from .bvh import STACK, closest_hit, triangle_normal
-from .jit import borrowed, device_jit, inline_jit, pixel_jit
+from .jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
 from .lamps import lamp_at, lamp_place
 from .reflect import LEAST_COSINE, MIRROR_ALPHA
 from .sampling import dither, place_id, r2_sequence
@@ -144,7 +144,7 @@ def _meet_near(bvh, stack, origin, direction, distance, reach):
 def find_materials(begin, end, texel, m, bvh, least_m):
     """Write to `m.material` that of the triangle which each of the texels `texel` (K,) shows; -1 where there is none."""
     m, bvh = borrowed((m, bvh))
-    stack, width = np.empty(STACK, np.int32), m.roughness.shape[1]
+    stack, width = scratch(STACK, np.int32), m.roughness.shape[1]
     for k in range(begin, end):
         i, j = texel[k] // width, texel[k] % width
         p = load_pixel(m.position_ws, i, j)
@@ -207,7 +207,7 @@ def shoot_photons(begin, end, texel, ordinal, expected, m, lamp, bvh, offset_m, 
     `photons` are written but for `radius2`.
     """
     m, lamp, bvh, photons = borrowed((m, lamp, bvh, photons))
-    stack, width = np.empty(STACK, np.int32), m.roughness.shape[1]
+    stack, width = scratch(STACK, np.int32), m.roughness.shape[1]
     for k in range(begin, end):
         i, j = texel[k] // width, texel[k] % width
         place, number = place_id(i, j), ordinal[k]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .bvh import STACK, closest_hit, is_occluded, triangle_normal
-from .jit import borrowed, pixel_jit
+from .jit import borrowed, pixel_jit, scratch
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .vec3 import ONE, along, dot, f32, lifted, load, scaled, tangent_frame, to_world
 
@@ -13,7 +13,7 @@ from .vec3 import ONE, along, dot, f32, lifted, load, scaled, tangent_frame, to_
 @pixel_jit
 def _lit_hits(begin, end, position, normal, bvh, to_sun, rays, offset_m, reach_m, seed, out, lit):
     bvh, = borrowed((bvh,))
-    stack = np.empty(STACK, np.int32)
+    stack = scratch(STACK, np.int32)
     for m in range(begin, end):
         n = load(normal, m)
         tangent, bitangent = tangent_frame(n)
@@ -51,7 +51,7 @@ def lit_hits(position, normal, bvh, to_sun, rays, offset_m, reach_m, seed):
 @pixel_jit
 def _cast_rays(begin, end, origin, direction, bvh, near, reach, distance, slots, us, vs):
     bvh, = borrowed((bvh,))
-    stack = np.empty(STACK, np.int32)
+    stack = scratch(STACK, np.int32)
     for i in range(begin, end):
         d = load(direction, i)
         start = along(load(origin, i), d, near)

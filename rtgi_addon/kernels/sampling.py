@@ -9,12 +9,12 @@ import math
 
 import numpy as np
 
+from .fastmath import on_circle
 from .jit import device_jit
 from .vec3 import ONE, ZERO, Vec3, f32
 
 PLACE_BITS = 20
 PLACE_MASK = (1 << PLACE_BITS) - 1
-TWO_PI = f32(2 * math.pi)
 _LOW = np.uint64(0xFFFFFFFF)
 
 
@@ -63,9 +63,8 @@ def dither(place, seed, k):
 @device_jit
 def r2_sequence(i, shift_u, shift_v):
     """Point i of the two-dimensional R2 sequence (Roberts 2018), shifted by a number of [0, 1) an axis."""
-    u = (np.float64(i) * 0.7548776662466927 + np.float64(shift_u)) % 1.0
-    v = (np.float64(i) * 0.5698402909980532 + np.float64(shift_v)) % 1.0
-    return min(f32(u), f32(0.99999994)), min(f32(v), f32(0.99999994))
+    u, v = np.float64(i) * 0.7548776662466927 + np.float64(shift_u), np.float64(i) * 0.5698402909980532 + np.float64(shift_v)
+    return min(f32(u - math.floor(u)), f32(0.99999994)), min(f32(v - math.floor(v)), f32(0.99999994))
 
 
 @device_jit
@@ -75,10 +74,11 @@ def disk(u, v):
     if a == ZERO and b == ZERO:
         return ZERO, ZERO
     if abs(a) > abs(b):
-        r, phi = a, f32(math.pi / 4) * (b / a)
+        r, turn = a, f32(0.125) * (b / a)
     else:
-        r, phi = b, f32(math.pi / 2) - f32(math.pi / 4) * (a / b)
-    return r * math.cos(phi), r * math.sin(phi)
+        r, turn = b, f32(0.25) - f32(0.125) * (a / b)
+    x, y = on_circle(turn)
+    return r * x, r * y
 
 
 @device_jit
@@ -93,8 +93,8 @@ def uniform_sphere(u, v):
     """Unit vector with density 1 / (4 pi)."""
     z = ONE - f32(2) * u
     r = math.sqrt(max(ZERO, ONE - z * z))
-    phi = TWO_PI * v
-    return Vec3(r * math.cos(phi), r * math.sin(phi), z)
+    x, y = on_circle(v)
+    return Vec3(r * x, r * y, z)
 
 
 @device_jit

@@ -14,7 +14,7 @@ import numpy as np
 from .brdf import fit_lobe, fresnel, lobe_albedos, sample_lobe
 from .bvh import STACK, closest_hit, triangle_normal
 from .depth_pyramid import height_at, plane_slopes
-from .jit import borrowed, device_jit, pixel_jit
+from .jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
 from .lamps import LEAST_ALPHA
 from .lit_hits import LEAST_REFLECTANCE, edge_fade, gloss_of_lamps, light_of_lamps, lit_there, softened
 from .reflect import ASK
@@ -76,7 +76,7 @@ def colours_at(around, albedos, t, a, b, cosine):
     return albedo, scaled(Vec3(substance[0], substance[1], substance[2]), reflectance), substance[3], substance[4]
 
 
-@device_jit
+@inline_jit
 def _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m):
     """Radiance of the world or of an emissive surface that p, of normal n, sees in direction d."""
     _, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
@@ -86,7 +86,7 @@ def _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m):
     return load_pixel(sky, row, column)
 
 
-@device_jit
+@inline_jit
 def _from_above(bvh, around, stack, p, n, albedo, offset_m, reach_m, u, v):
     """Radiance that a matt surface sends back of what shines, by one ray."""
     tangent, bitangent = tangent_frame(n)
@@ -95,7 +95,7 @@ def _from_above(bvh, around, stack, p, n, albedo, offset_m, reach_m, u, v):
     return Vec3(given.x * albedo.x, given.y * albedo.y, given.z * albedo.z)
 
 
-@device_jit
+@inline_jit
 def _from_lobe(bvh, around, stack, p, n, towards, specular, roughness, f0, albedos, offset_m, reach_m, u, v, pick):
     """Radiance that a glossy lobe sends `towards` of what shines, by one ray; of dim lobes by fewer: `pick` decides."""
     reflectance, cosine = max(specular.x, max(specular.y, specular.z)), dot(n, towards)
@@ -117,7 +117,7 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
     """Answer the rays `asked` (K,) of `rays`, those of `draw_rays`: what the picture did not give is added."""
     screen, gloss, lights, bvh, around, rules, rays = borrowed((screen, gloss, lights, bvh, around, rules, rays))
     width = screen.depth.shape[1]
-    stack, light = np.empty(STACK, np.int32), np.empty(6, np.float32)
+    stack, light = scratch(STACK, np.int32), scratch(6, np.float32)
     for k in range(begin, end):
         r = asked[k]
         pixel = index[r // samples]

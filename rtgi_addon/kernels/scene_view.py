@@ -6,7 +6,7 @@ import numpy as np
 
 from .brdf import matt_share
 from .bvh import STACK, closest_hit, triangle_normal
-from .jit import borrowed, pixel_jit
+from .jit import borrowed, pixel_jit, scratch
 from .scene_light import colours_at
 from .vec3 import ONE, ZERO, along, dot, f32, load, normalized_or, scaled
 
@@ -22,7 +22,7 @@ def see_triangles(begin, end, origin, direction, bvh, around, albedos, means, ne
     `albedos`, `means`: `brdf.albedo_table()` and `brdf.mean_albedo_table()`.
     """
     bvh, around = borrowed((bvh, around))
-    stack = np.empty(STACK, np.int32)
+    stack = scratch(STACK, np.int32)
     for k in range(begin, end):
         d = load(direction, k)
         start = along(load(origin, k), d, near)

@@ -8,32 +8,31 @@ import numpy as np
 
 from .brdf import INV_PI
 from .bvh import STACK, visibility
-from .jit import borrowed, device_jit, pixel_jit
+from .fastmath import HALF_PI, PI, TWO_PI, fast_atan2, on_circle
+from .jit import borrowed, device_jit, pixel_jit, scratch
 from .octahedron import table_at
-from .sampling import TWO_PI, cosine_hemisphere, dither, r2_sequence
+from .sampling import cosine_hemisphere, dither, r2_sequence
 from .vec3 import ONE, ZERO, Vec3, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
-
-PI = f32(math.pi)
 
 
 @device_jit
 def sky_texel(d, height, width):
     """(row, column) of an equirectangular map (row 0 is +Z, longitude 0 is +Y, growing to +X) in unit direction d."""
-    longitude, latitude = math.atan2(d.x, d.y), math.asin(min(ONE, max(-ONE, d.z)))
+    longitude, latitude = fast_atan2(d.x, d.y), fast_atan2(d.z, math.sqrt(d.x * d.x + d.y * d.y))
     column = int((longitude + PI) / TWO_PI * f32(width))
-    row = int((f32(math.pi / 2) - latitude) / PI * f32(height))
+    row = int((HALF_PI - latitude) / PI * f32(height))
     return min(max(row, 0), height - 1), min(max(column, 0), width - 1)
 
 
 @device_jit
 def _sky_direction(row, column, u, v, height, width):
     """Unit direction in texel (row, column), even over its solid angle."""
-    top = math.sin(f32(math.pi / 2) - PI * f32(row) / f32(height))
-    bottom = math.sin(f32(math.pi / 2) - PI * f32(row + 1) / f32(height))
+    top, _ = on_circle(f32(0.5) * f32(row) / f32(height))
+    bottom, _ = on_circle(f32(0.5) * f32(row + 1) / f32(height))
     z = bottom + (top - bottom) * v
-    longitude = -PI + TWO_PI * (f32(column) + u) / f32(width)
+    back, left = on_circle((f32(column) + u) / f32(width))
     r = math.sqrt(max(ZERO, ONE - z * z))
-    return Vec3(r * math.sin(longitude), r * math.cos(longitude), z)
+    return Vec3(-r * left, -r * back, z)
 
 
 @device_jit
@@ -55,7 +54,7 @@ def _gather_sky(begin, end, position, normal, places, radiance, cdf, density, bv
     bvh, = borrowed((bvh,))
     height, width = radiance.shape[0], radiance.shape[1]
     by_map = int(f32(rays) * map_share)
-    stack = np.empty(STACK, np.int32)
+    stack = scratch(STACK, np.int32)
     for m in range(begin, end):
         p, n = load(position, m), load(normal, m)
         tangent, bitangent = tangent_frame(n)

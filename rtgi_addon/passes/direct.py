@@ -25,7 +25,7 @@ from ..core.transforms import Projection
 from ..kernels import lamps, shadow
 from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
 from ..kernels.bvh import STACK, Bvh, visibility
-from ..kernels.jit import borrowed, device_jit, inline_jit, pixel_jit
+from ..kernels.jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
 from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
@@ -530,7 +530,7 @@ def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_m
     """Add the light that a second look at the map, rays, or pixels beside find at the pixels `left` (M,) of `index` (K,)."""
     lamp, pixels, shadow_map, bare, starts, bvh, shares, out = borrowed(
         (lamp, pixels, shadow_map, bare, starts, bvh, shares, out))
-    stack = np.empty(STACK, np.int32)
+    stack = scratch(STACK, np.int32)
     for m in range(begin, end):
         k = left[m]
         _trace_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays,
