@@ -370,8 +370,8 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "hbao": {"slices": 2, "steps": 12, "lattice_px": 1, "overscan": 0.0},
         "ssao": {"samples": 16, "lattice_px": 1, "overscan": 0.0},
         "ssdo": {"slices": 1, "steps": 8, "lattice_px": 2, "samples": 32},
-        "final_gather": {"lattice_px": 4, "rays": 24},
-        "ssr": {"samples": 16},
+        "final_gather": {"lattice_px": 4, "rays": 12},
+        "ssr": {"samples": 8},
     },
     "QUALITY": {
         "direct": {"soft_shadow_rays": 64},

@@ -147,7 +147,8 @@ def _regress_lattice(begin, end, light, pilot, position, normal, mask, rcp_toler
                     b[r, c] = ZERO
             for u in range(max(i - radius, 0), min(i + radius + 1, height)):
                 for v in range(max(j - radius, 0), min(j + radius + 1, width)):
-                    if not mask[u, v]:
+                    r2 = f32((u - i) * (u - i) + (v - j) * (v - j)) / f32((radius + 1) * (radius + 1))
+                    if not mask[u, v] or r2 >= ONE:
                         continue
                     q = load_pixel(position, u, v)
                     k = _likeness(p, n, q, load_pixel(normal, u, v), rcp_tolerance[i, j])
@@ -157,8 +158,7 @@ def _regress_lattice(begin, end, light, pilot, position, normal, mask, rcp_toler
                     noise = pilot[u, v, 1] + pilot[i, j, 1]
                     k *= falloff(difference * difference / (contrast * contrast * noise + f32(1e-4) * pilot[i, j, 0] ** 2
                                                             + f32(1e-30)))
-                    r2 = f32((u - i) * (u - i) + (v - j) * (v - j)) / f32((radius + 1) * (radius + 1))
-                    k *= max(ZERO, ONE - r2)
+                    k *= ONE - r2
                     d = sub(q, p)
                     f[0], f[1] = ONE, dot(d, tangent) * rcp_tolerance[i, j]
                     f[2] = dot(d, bitangent) * rcp_tolerance[i, j]

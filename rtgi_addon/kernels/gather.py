@@ -35,6 +35,7 @@ from .clusters import (
     NORMAL,
     RADIUS,
     TO_LIGHT,
+    find_by_flux,
 )
 from .jit import borrowed, inline_jit, pixel_jit, scratch
 from .sampling import disk, dither, near_weight, uniform
@@ -133,21 +134,7 @@ def _pick_near(gives, first, number, goal):
 
 
 @inline_jit
-def _by_flux(running, first, last, u):
-    """The column of [first, last) in proportion to flux, by bisection."""
-    base, span = running[first], running[last] - running[first]
-    lo, hi = first, last - 1
-    while lo < hi:
-        middle = (lo + hi) >> 1
-        if running[middle + 1] > base + u * span:
-            hi = middle
-        else:
-            lo = middle + 1
-    return lo
-
-
-@inline_jit
-def _pick_far(p, n, R, running, eps2, first, last, u, v):
+def _pick_far(p, n, R, running, guide, eps2, first, last, u, v):
     """(texel, share) by resampling: CANDIDATES texels drawn by flux, one of them kept by what it gives here.
 
     `share` is what the texel gives over the estimate of what the cluster gives (Talbot et al. 2005, Eq. 5).
@@ -156,7 +143,7 @@ def _pick_far(p, n, R, running, eps2, first, last, u, v):
     number = min(CANDIDATES, last - first)
     total, k, gives_k = ZERO, -1, ZERO
     for j in range(number):
-        q = _by_flux(running, first, last, (f32(j) + u) / f32(number))
+        q = find_by_flux(running, guide, first, last, (f32(j) + u) / f32(number))
         normal = Vec3(R[q, NORMAL], R[q, NORMAL + 1], R[q, NORMAL + 2])
         diffuse, glossy = _record_factors(p, n, R, q, load(R, q), normal, eps2)
         gives = diffuse * R[q, MEAN_DIFFUSE] + glossy * R[q, MEAN_GLOSSY]
@@ -204,7 +191,7 @@ def _gather_at(p, n, place, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
     w, at (C,), gives_near (NEAR_TEXELS,) and stack are scratch: weights of clusters, where in `gives_near` the texels of a
     near cluster stand (-1: far), and what they give.
     """
-    C, R, start, end, running = clusters.table, clusters.records, clusters.start, clusters.end, clusters.running
+    C, R, start, end = clusters.table, clusters.records, clusters.start, clusters.end
     n_clusters, has_glossy = C.shape[1], clusters.has_glossy
     _weigh(p, n, C, has_glossy, w)
     total, used = ZERO, 0
@@ -234,7 +221,8 @@ def _gather_at(p, n, place, clusters, eps2, bvh, rays, offset_m, seed, w, at, gi
             share = gives / w[c]
             k += start[c] if k >= 0 else 0
         else:
-            k, share = _pick_far(p, n, R, running, eps2, start[c], end[c], u, uniform(place, seed, 2 * j + 1))
+            k, share = _pick_far(p, n, R, clusters.running, clusters.guide, eps2, start[c], end[c], u,
+                                 uniform(place, seed, 2 * j + 1))
         if k < 0 or share <= ZERO:
             continue
         sender, facing = _place_in(p, R, k, bvh, stack, uniform(place, seed + 1, 2 * j), uniform(place, seed + 1, 2 * j + 1))

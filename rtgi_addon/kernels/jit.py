@@ -191,7 +191,7 @@ def _scratch_here(typing_context, count, kind):
 
 
 def scratch(count: int, kind: type) -> np.ndarray:
-    """np.empty(count, kind) on the kernel's own stack, for a constant count; gone when the kernel that asks for it returns.
+    """np.empty(count, kind) on the kernel's own stack, gone when the kernel returns; `count` is a module's constant.
 
     numba counts an array of its own up and down, atomically, at each call of a helper that takes it: 4 to 6 % of the kernels
     that trace rays.

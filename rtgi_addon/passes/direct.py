@@ -235,9 +235,9 @@ def _pack_pixels(frame: Frame) -> _Pixels:
     is_parallel = camera.projection is Projection.ORTHOGRAPHIC
     eye = camera.world_from_view[:3, 2] if is_parallel else camera.position_ws
     roughness = np.ascontiguousarray(g.roughness.ravel(), np.float32)
-    pixels = _Pixels(position, normal, specular, roughness, specular.max(1), g.f0.ravel().astype(np.float32),
-                     np.ones(len(position), np.float32), np.float32([eye]), f32(np.abs(camera.position_ws).max()),
-                     is_parallel, width)
+    pixels = _Pixels(position, normal, specular, roughness, np.empty(len(position), np.float32),
+                     g.f0.ravel().astype(np.float32), np.ones(len(position), np.float32), np.float32([eye]),
+                     f32(np.abs(camera.position_ws).max()), is_parallel, width)
     _fit_lobes(len(position), pixels, albedo_table(frame.keeps_energy))
     return pixels
 
@@ -315,9 +315,10 @@ def _error_of(pixels, p, distance):
 
 @pixel_jit
 def _fit_lobes(begin, end, pixels, albedos):
-    """Put each pixel's lobe into `f0`, which holds what materials know of it, and `gain`."""
+    """Put each pixel's lobe into `reflectance`, `f0`, which holds what materials know of it, and `gain`."""
     pixels, = borrowed((pixels,))
     for q in range(begin, end):
+        pixels.reflectance[q] = max(pixels.specular[q, 0], max(pixels.specular[q, 1], pixels.specular[q, 2]))
         if pixels.reflectance[q] > ZERO:
             n = load(pixels.normal, q)
             viewer, _ = _viewer(pixels, load(pixels.position, q))

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..core.frame import Frame, World
 from ..core.techniques import WorldParams
+from ..kernels.gloss_pixels import mean_colour
 from ..kernels.sky import gather_sky
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
@@ -74,9 +75,8 @@ def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int
 
 def _visibility(irradiance: np.ndarray, sky: World, normal_ws: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(H, W) float32: irradiance over what an open surface of the same normal would get, in [0, 1]."""
-    open_light = open_irradiance(sky, normal_ws, mask).sum(-1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = irradiance.sum(-1) / open_light
+        share = mean_colour(irradiance) / mean_colour(open_irradiance(sky, normal_ws, mask))
     return np.where(mask, np.clip(np.nan_to_num(share, nan=1.0, posinf=1.0), 0, 1), 1).astype(np.float32)
 
 
