@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .jit import device_jit, inline_jit, pixel_jit
+from .jit import device_jit, inline_jit, pixel_jit, scratch
 from .vec3 import ONE, ZERO, dot, f32, load_pixel, sub, tangent_frame
 
 WEAK = f32(0.05)            # below this weight a pixel found no like neighbour on the lattice
@@ -113,26 +113,29 @@ def pilot_means(light, position, normal, mask, rcp_tolerance):
 
 @device_jit
 def _solve_intercept(a, b, ridge):
-    """First unknown (3 right sides) of the 4x4 normal equations a x = b; `ridge` holds the slopes near 0. In place."""
+    """First unknown (3 right sides) of the 4x4 normal equations a x = b, row after row; `ridge` holds the slopes near 0.
+
+    In place.
+    """
     for k in range(1, 4):
-        a[k, k] += ridge * a[0, 0]
+        a[5 * k] += ridge * a[0]
     for k in range(3, 0, -1):                    # eliminate the slopes, last first: what is left is the intercept
-        inv = ONE / a[k, k]
+        inv = ONE / a[5 * k]
         for r in range(k):
-            factor = a[r, k] * inv
+            factor = a[4 * r + k] * inv
             for c in range(k):
-                a[r, c] -= factor * a[k, c]
+                a[4 * r + c] -= factor * a[4 * k + c]
             for c in range(3):
-                b[r, c] -= factor * b[k, c]
-    inv = ONE / a[0, 0]
-    return b[0, 0] * inv, b[0, 1] * inv, b[0, 2] * inv
+                b[3 * r + c] -= factor * b[3 * k + c]
+    inv = ONE / a[0]
+    return b[0] * inv, b[1] * inv, b[2] * inv
 
 
 @pixel_jit
 def _regress_lattice(begin, end, light, pilot, position, normal, mask, rcp_tolerance, radius, contrast, ridge, out):
     height, width = mask.shape
     for i in range(begin, end):
-        a, b, f = np.empty((4, 4), np.float32), np.empty((4, 3), np.float32), np.empty(4, np.float32)
+        a, b, f = scratch(16, np.float32), scratch(12, np.float32), scratch(4, np.float32)
         for j in range(width):
             if not mask[i, j]:
                 continue
@@ -140,11 +143,10 @@ def _regress_lattice(begin, end, light, pilot, position, normal, mask, rcp_toler
             tangent, bitangent = tangent_frame(n)
             unshadowed = light[i, j, 3]
             inv_unshadowed = ONE / max(unshadowed, f32(1e-30))
-            for r in range(4):
-                for c in range(4):
-                    a[r, c] = ZERO
-                for c in range(3):
-                    b[r, c] = ZERO
+            for r in range(16):
+                a[r] = ZERO
+            for r in range(12):
+                b[r] = ZERO
             for u in range(max(i - radius, 0), min(i + radius + 1, height)):
                 for v in range(max(j - radius, 0), min(j + radius + 1, width)):
                     r2 = f32((u - i) * (u - i) + (v - j) * (v - j)) / f32((radius + 1) * (radius + 1))
@@ -165,12 +167,12 @@ def _regress_lattice(begin, end, light, pilot, position, normal, mask, rcp_toler
                     f[3] = max(min(light[u, v, 3] * inv_unshadowed - ONE, f32(4)), -ONE)
                     for r in range(4):
                         for c in range(r, 4):
-                            a[r, c] += k * f[r] * f[c]
+                            a[4 * r + c] += k * f[r] * f[c]
                         for c in range(3):
-                            b[r, c] += k * f[r] * light[u, v, c]
+                            b[3 * r + c] += k * f[r] * light[u, v, c]
             for r in range(4):
                 for c in range(r):
-                    a[r, c] = a[c, r]
+                    a[4 * r + c] = a[4 * c + r]
             red, green, blue = _solve_intercept(a, b, ridge)
             out[i, j, 0], out[i, j, 1], out[i, j, 2] = max(red, ZERO), max(green, ZERO), max(blue, ZERO)
 

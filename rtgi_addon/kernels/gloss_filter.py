@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from .filters import falloff
-from .jit import borrowed, device_jit, pixel_jit
+from .jit import borrowed, device_jit, pixel_jit, scratch
 from .reflect import NEARNESS, SHARE
 from .screen import seen_vs
 from .shadow import ORTHOGRAPHIC
@@ -84,12 +84,13 @@ def blur_of_pixels(results, screen, roughness, step, traced, reach):
 def _smooth_reflections(begin, end, results, blur, wanted, screen, roughness, step, traced, radius, out):
     screen, = borrowed((screen,))
     height, width = traced.shape
+    sums = scratch(FILTERED, np.float32)
     for i in range(begin, end):
         for j in range(width):
             if not wanted[i, j]:
                 continue
             for c in range(FILTERED):
-                out[i, j, c] = results[i, j, c]
+                sums[c] = out[i, j, c] = results[i, j, c]
             s = step[i, j]
             step_m = _width_m(screen, i, j) * f32(s)
             if blur[i, j] < LEAST_SIGMA * step_m:
@@ -105,9 +106,9 @@ def _smooth_reflections(begin, end, results, blur, wanted, screen, roughness, st
                     k = falloff(_difference(screen, roughness, i, j, u, v, step_m) + f32(0.5) * dot(d, d) / (sigma * sigma))
                     total += k
                     for c in range(FILTERED):
-                        out[i, j, c] += k * results[u, v, c]
+                        sums[c] += k * results[u, v, c]
             for c in range(FILTERED):
-                out[i, j, c] /= total
+                out[i, j, c] = sums[c] / total
 
 
 def smooth_reflections(results, blur, wanted, screen, roughness, step, traced, radius):
