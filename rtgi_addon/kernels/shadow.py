@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .bvh import closest_triangle, triangle_normal
+from .fastmath import fast_atan2, on_circle
 from .jit import device_jit, inline_jit
 from .vec3 import ONE, ZERO, Vec3, along, dot, f32, moved_by, scaled, turned_by
 
@@ -34,6 +35,7 @@ TOLERANCE_PX = f32(0.05)    # steps below this share of a texel's footprint are 
 QUAD_SHARE = f32(0.1)       # and below this share of the height range of the four texels around a point
 WINDOW_PX = 10              # larger outlines of the lamp are not worth looking through: rays are cheaper
 MARGIN_PX = f32(1.5)        # silhouettes nearer than this make a point ambiguous for any light
+TURNS = f32(0.5 / math.pi)  # in a radian
 POLE = f32(0.1)             # rows of an equirectangular view whose cosine of latitude is smaller are never trusted
 
 
@@ -197,7 +199,7 @@ def _project(m, p):
         if distance <= ZERO:
             return ZERO, ZERO, NOTHING
         height = ONE / distance
-        x, y = math.atan2(x, depth), math.asin(max(-ONE, min(ONE, y * height)))
+        x, y = fast_atan2(x, depth), fast_atan2(y, math.sqrt(x * x + depth * depth))
     return (x - m.left) / m.step_x - f32(0.5), (m.top - y) / m.step_y - f32(0.5), height
 
 
@@ -229,7 +231,7 @@ def classify(m, p, error):
         return ASK
     k, foot = m.k, max(m.step_x, m.step_y)
     if m.projection == EQUIRECTANGULAR:
-        cos_latitude = math.cos(m.top - (f32(i) + f32(0.5)) * m.step_y)
+        cos_latitude, _ = on_circle(TURNS * abs(m.top - (f32(i) + f32(0.5)) * m.step_y))
         if cos_latitude < POLE:
             return ASK
         k = k / cos_latitude
@@ -256,8 +258,9 @@ def _plane_height(m, n, over, h, column, row, i, j):
         return h - (n.x * (f32(j) - column) * m.step_x - n.y * (f32(i) - row) * m.step_y) * over
     if m.projection == PERSPECTIVE:
         return (n.x * x + n.y * y - n.z) * over
-    c = math.cos(y)
-    return (n.x * c * math.sin(x) + n.y * math.sin(y) - n.z * c * math.cos(x)) * over
+    c, s = on_circle(TURNS * y + ONE)
+    away, side = on_circle(TURNS * x + ONE)
+    return (n.x * c * side + n.y * s - n.z * c * away) * over
 
 
 @inline_jit
@@ -276,7 +279,8 @@ def look_around(m, p, n, error):
         return ASK
     k, foot = m.k, max(m.step_x, m.step_y)
     if m.projection == EQUIRECTANGULAR:
-        k = k / max(math.cos(m.top - (f32(i) + f32(0.5)) * m.step_y), POLE)
+        cos_latitude, _ = on_circle(TURNS * abs(m.top - (f32(i) + f32(0.5)) * m.step_y))
+        k = k / max(cos_latitude, POLE)
     tallest = max(max(m.tallest[i, j0], m.tallest[i, j1]), max(m.tallest[i + 1, j0], m.tallest[i + 1, j1]))
     if not k * (tallest - h) < f32(WINDOW_PX - 1):
         return ASK

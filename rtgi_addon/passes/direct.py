@@ -368,7 +368,7 @@ def _light_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, test, strengt
 @pixel_jit
 def _light_pixels(begin, end, index, lamp, colours, pixels, salt, shadow_map, test, strength, bare, out, state):
     """`_light_at_pixel` for the pixels of `index` (K,); its answers into `state` (K,)."""
-    lamp, pixels, shadow_map, bare, out = borrowed((lamp, pixels, shadow_map, bare, out))
+    lamp, colours, pixels, shadow_map, bare, out = borrowed((lamp, colours, pixels, shadow_map, bare, out))
     for k in range(begin, end):
         state[k] = _light_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, test, strength, bare, out)
 
@@ -529,8 +529,8 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
 def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, shares,
                   out):
     """Add the light that a second look at the map, rays, or pixels beside find at the pixels `left` (M,) of `index` (K,)."""
-    lamp, pixels, shadow_map, bare, starts, bvh, shares, out = borrowed(
-        (lamp, pixels, shadow_map, bare, starts, bvh, shares, out))
+    lamp, colours, pixels, shadow_map, bare, starts, bvh, shares, out = borrowed(
+        (lamp, colours, pixels, shadow_map, bare, starts, bvh, shares, out))
     stack = scratch(STACK, np.int32)
     for m in range(begin, end):
         k = left[m]
