@@ -27,6 +27,7 @@ NEAR = f32(0.1)             # half size over distance above which an area light 
 WIDE = f32(0.3)             # half size over distance above which a lamp that sets behind the surface is no flat disk
 TINY = f32(0.004)           # half size over distance below which the centre stands for the shape
 SMALL = f32(0.008)          # the same where no sharp lobe sees the shape: what it misses goes with the square
+ROUND = f32(0.1)            # the same of points and suns, whose irradiance the centre gives exactly
 GAUSS = f32(0.57735027)     # node of the two-point Gauss rule on [-1, 1]
 POLYGON = 16                # sides of the polygon that stands for an ellipse; of equal area, 0.03 % at most
 AREA_SAMPLES = 64           # of the sums that have no closed form
@@ -328,7 +329,9 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
     """(irradiance, integral of radiance x glossy lobe) at p from a lamp of unit strength, nothing standing between.
 
     One sample serves a lamp that looks tiny, four a small one, and many an area light that looks large or is narrow; the
-    lobe is widened by the part of the lamp that a sample stands for. Large Lambertian areas have a closed form. A lobe that
+    lobe is widened by the part of the lamp that a sample stands for. Large Lambertian areas have a closed form, and above
+    the horizon spheres, suns and disks that face the point: theirs is the centre's irradiance, for a disk over 1 + size^2
+    (offsets cancel, and the mean of (1 + s^2)^-2 over it is that). A lobe that
     is narrow beside the lamp shows its shape. `reflectance` is what a colour multiplies the lobe with, 0 for none. Of a
     lamp that `is_faint` beside others the centre stands for all, and so it does in a lobe that adds little to matt light.
     """
@@ -344,6 +347,9 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
     height = dot(n, axis)
     if height < -size and not is_area:
         return ZERO, ZERO
+    # every part is above the horizon, and none is brighter than the others
+    is_whole = height > size and not is_area and size < (ROUND if lamp.spot_scale == ZERO else SMALL)
+    share_of_centre = ONE / (ONE + size * size) if lamp.kind == DISK_LAMP else ONE
     is_glossy = reflectance > ZERO
     wide_alpha = max(max(alpha, HALF * min(size, ONE)), LEAST_ALPHA)
     if is_faint:
@@ -355,6 +361,8 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
     elif is_glossy and height > size and reflectance < METALS:
         diffuse, glossy = _from_centre(lamp, p, n, viewer, wide_alpha, f0, True)
         is_glossy = reflectance * glossy > MINOR_LOBE * INV_PI * diffuse
+        if is_whole and not (is_glossy and alpha < f32(6) * size):
+            return share_of_centre * diffuse, share_of_centre * glossy
     count, widening = 4, f32(0.25) * size
     is_closed = is_area and lamp.spread_gain == ZERO and (size > NEAR or abs(height) < f32(2) * size)
     sets = not is_area and abs(height) < size
@@ -364,7 +372,7 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
             count = 0
         elif is_closed and alpha >= f32(0.25) * min(size, ONE):      # only the lobe asks, and it is wider than its parts
             count = FEW_AREA_SAMPLES
-    elif not sets and (size < TINY and not is_area or size < SMALL and height > size
+    elif not sets and (size < TINY and not is_area or (is_whole or size < SMALL and height > size)
                        and not (is_glossy and alpha < f32(6) * size)):
         count, widening = 1, HALF * size
     alpha = max(max(alpha, widening), LEAST_ALPHA)
@@ -380,7 +388,7 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
         elif count == 4:
             x, y = node if i & 1 else -node, node if i & 2 else -node
         d, weight = lamp_at(lamp, p, x, y)
-        weight *= share / f32(count)
+        weight *= (share_of_centre if count == 1 else share) / f32(count)
         if weight > ZERO:
             unit = normalized_or(d, n)
             carried += weight

@@ -25,7 +25,7 @@ from ..core.transforms import Projection
 from ..kernels import lamps, shadow
 from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
 from ..kernels.bvh import STACK, Bvh, visibility
-from ..kernels.jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
+from ..kernels.jit import borrowed, inline_jit, pixel_jit, scratch
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
 from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
@@ -116,11 +116,11 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
             if source.test == MAP and has_rays:
                 is_faint = source.colours[6] * bare.diffuse[left] < FAINT_SHARE * out.could[part[left]]
                 is_faint &= bare.glossy[left] * pixels.reflectance[part[left]] <= bare.diffuse[left] * INV_PI
-                _ask_map(part, left[is_faint], source.colours, pixels, source.shadow_map, bare, out)
-                left = left[~is_faint]
+                faint, left = left[is_faint], left[~is_faint]
+                _ask_map(len(faint), part, faint, source.colours, pixels, source.shadow_map, bare, out)
             asked[source.name] += len(left)
             if not has_rays:
-                _ask_map(part, left, source.colours, pixels, source.shadow_map, bare, out)
+                _ask_map(len(left), part, left, source.colours, pixels, source.shadow_map, bare, out)
                 continue
             shares.diffuse[part] = shares.glossy[part] = SHARE_OF[state]
             is_first = (part[left] // pixels.width | part[left] % pixels.width) % 2 == 0
@@ -538,11 +538,12 @@ def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_m
                         shares, out)
 
 
-@device_jit
-def _ask_map(index, left, colours, pixels, shadow_map, bare, out):
+@pixel_jit
+def _ask_map(begin, end, index, left, colours, pixels, shadow_map, bare, out):
     """Add the light of the pixels `left` (M,) of `index` (K,) by the map's own four texels."""
-    for k in left:
-        q = index[k]
+    colours, pixels, shadow_map, bare, out = borrowed((colours, pixels, shadow_map, bare, out))
+    for m in range(begin, end):
+        k, q = left[m], index[left[m]]
         p = load(pixels.position, q)
         _, distance = _viewer(pixels, p)
         share = shadow.map_visibility(shadow_map, p, _error_of(pixels, p, distance))
