@@ -48,6 +48,7 @@ MAX_SHARES = f32(8)         # a ray may give at most this many times its fair sh
 SPREAD2 = f32(16)           # distance over a texel's radius, squared, below which it is no point
 SAME_SURFACE = f32(0.9)     # cosine of the triangle's normal and the texel's, which may be bumped, on one surface
 CANDIDATES = 4              # texels of a far cluster that compete for a ray
+SHARP2 = f32(0.04)          # squared alpha from which a texel competes as if its lobe were matt: any weights will do
 NEAR_TEXELS = 8192          # texels of near clusters that a point weighs one by one; clusters beyond count as far
 
 
@@ -145,8 +146,13 @@ def _pick_far(p, n, R, running, guide, eps2, first, last, u, v):
     for j in range(number):
         q = find_by_flux(running, guide, first, last, (f32(j) + u) / f32(number))
         normal = Vec3(R[q, NORMAL], R[q, NORMAL + 1], R[q, NORMAL + 2])
-        diffuse, glossy = _record_factors(p, n, R, q, load(R, q), normal, eps2)
-        gives = diffuse * R[q, MEAN_DIFFUSE] + glossy * R[q, MEAN_GLOSSY]
+        if R[q, ALPHA2] < SHARP2:
+            diffuse, glossy = _record_factors(p, n, R, q, load(R, q), normal, eps2)
+            gives = diffuse * R[q, MEAN_DIFFUSE] + glossy * R[q, MEAN_GLOSSY]
+        else:
+            d = sub(load(R, q), p)
+            cos_r, cos_e, r2 = max(dot(d, n), ZERO), max(-dot(d, normal), ZERO), dot(d, d) + eps2
+            gives = cos_r * cos_e / (r2 * r2) * INV_PI * (R[q, MEAN_DIFFUSE] + R[q, MEAN_GLOSSY])
         weight = gives * f32(span / (running[q + 1] - running[q]))
         total += weight
         if weight > ZERO and v * total < weight:         # keep it with probability weight / total (Chao 1982)
