@@ -357,7 +357,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "hbao": {"slices": 2, "steps": 8, "lattice_px": 2, "overscan": 0.0},
         "ssao": {"samples": 8, "lattice_px": 2, "overscan": 0.0},
         "ssdo": {"slices": 1, "steps": 6, "lattice_px": 2, "samples": 16},
-        "final_gather": {"lattice_px": 8, "rays": 16},
+        "final_gather": {"lattice_px": 8, "rays": 8},
         "ssr": {"samples": 4},
     },
     "BALANCED": {

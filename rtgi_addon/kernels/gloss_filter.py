@@ -13,15 +13,16 @@ Pixels lie on lattices of step 1, 2, 4...: rough surfaces are traced at every fo
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from .filters import falloff
-from .jit import borrowed, device_jit, pixel_jit, scratch
+from .jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
 from .reflect import NEARNESS, SHARE
 from .screen import seen_vs
 from .shadow import ORTHOGRAPHIC
-from .vec3 import ONE, ZERO, dot, f32, length, load_pixel, sub
+from .vec3 import ONE, ZERO, Vec3, dot, f32, length, load_pixel, sub
 
 FILTERED = 8                # columns of a pixel that are filtered: all but the nearness
 PLANE_TOLERANCE_PX = f32(1.6)       # how far off the tangent plane, in widths of a step, a neighbour still counts e^-1
@@ -41,17 +42,33 @@ def _width_m(s, i, j):
     return step if s.projection == ORTHOGRAPHIC else step * s.depth[i, j]
 
 
-@device_jit
-def _difference(s, roughness, i, j, u, v, step_m):
-    """How unlike pixel (u, v) is to (i, j), 0 and more: distance to the plane, difference of normal and roughness."""
-    n, alpha = load_pixel(s.normal_ws, i, j), roughness[i, j] * roughness[i, j]
-    cosine = dot(n, load_pixel(s.normal_ws, u, v))
+class _Own(NamedTuple):
+    """What a pixel compares its neighbours with: position, normal, alpha, and one over the scales of their differences."""
+
+    p: Vec3
+    n: Vec3
+    alpha: np.float32
+    rcp_off: np.float32
+    rcp_turned: np.float32
+    rcp_rougher: np.float32
+
+
+@inline_jit
+def _own(s, roughness, i, j, step_m):
+    alpha = roughness[i, j] * roughness[i, j]
+    return _Own(load_pixel(s.position_ws, i, j), load_pixel(s.normal_ws, i, j), alpha, ONE / (PLANE_TOLERANCE_PX * step_m),
+                f32(4) / (alpha * alpha + LEAST_ALPHA2), ONE / (f32(0.3) * alpha + f32(0.01)))
+
+
+@inline_jit
+def _difference(own, s, roughness, u, v):
+    """How unlike pixel (u, v) is, 0 and more: distance to the plane, difference of normal and roughness."""
+    cosine = dot(own.n, load_pixel(s.normal_ws, u, v))
     if not cosine > ZERO:
         return WIDE
-    off = abs(dot(n, sub(load_pixel(s.position_ws, u, v), load_pixel(s.position_ws, i, j)))) / (PLANE_TOLERANCE_PX * step_m)
-    turned = f32(4) * (ONE - cosine) / (alpha * alpha + LEAST_ALPHA2)
-    rougher = (roughness[u, v] * roughness[u, v] - alpha) / (f32(0.3) * alpha + f32(0.01))
-    return off + turned + rougher * rougher
+    off = abs(dot(own.n, sub(load_pixel(s.position_ws, u, v), own.p))) * own.rcp_off
+    rougher = (roughness[u, v] * roughness[u, v] - own.alpha) * own.rcp_rougher
+    return off + (ONE - cosine) * own.rcp_turned + rougher * rougher
 
 
 @pixel_jit
@@ -95,15 +112,15 @@ def _smooth_reflections(begin, end, results, blur, wanted, screen, roughness, st
             step_m = _width_m(screen, i, j) * f32(s)
             if blur[i, j] < LEAST_SIGMA * step_m:
                 continue
-            p, total = load_pixel(screen.position_ws, i, j), ONE
+            own, total = _own(screen, roughness, i, j, step_m), ONE
             for u in range(max(i - radius * s, i % s), min(i + radius * s + 1, height), s):
                 for v in range(max(j - radius * s, j % s), min(j + radius * s + 1, width), s):
                     if not traced[u, v] or (u == i and v == j):
                         continue
-                    d, sigma = sub(load_pixel(screen.position_ws, u, v), p), min(blur[i, j], blur[u, v])
+                    d, sigma = sub(load_pixel(screen.position_ws, u, v), own.p), min(blur[i, j], blur[u, v])
                     if not dot(d, d) < FARTHEST * sigma * sigma:
                         continue
-                    k = falloff(_difference(screen, roughness, i, j, u, v, step_m) + f32(0.5) * dot(d, d) / (sigma * sigma))
+                    k = falloff(_difference(own, screen, roughness, u, v) + f32(0.5) * dot(d, d) / (sigma * sigma))
                     total += k
                     for c in range(FILTERED):
                         sums[c] += k * results[u, v, c]
@@ -131,23 +148,27 @@ def spread_reflections(begin, end, smooth, blur, screen, roughness, step, traced
     """
     screen, = borrowed((screen,))
     height, width = traced.shape
+    sums = scratch(FILTERED, np.float32)
     for i in range(begin, end):
         for j in range(width):
             s = step[i, j]
             if s <= 1 or traced[i, j]:
                 continue
+            for c in range(FILTERED):
+                sums[c] = ZERO
             step_m = _width_m(screen, i, j) * f32(s)
+            own, rcp_step = _own(screen, roughness, i, j, step_m), ONE / f32(s)
             first_i, first_j, total, mean, squares, sharpest = (i // s - 1) * s, (j // s - 1) * s, ZERO, ZERO, ZERO, WIDE
             for u in range(first_i, first_i + 4 * s, s):
                 for v in range(first_j, first_j + 4 * s, s):
                     if u < 0 or v < 0 or u >= height or v >= width or not traced[u, v]:
                         continue
-                    tent = max(f32(2 * s) - f32(abs(u - i)), ZERO) * max(f32(2 * s) - f32(abs(v - j)), ZERO) / f32(s * s)
-                    k = tent * tent * falloff(_difference(screen, roughness, i, j, u, v, step_m))
+                    tent = (f32(2) - f32(abs(u - i)) * rcp_step) * (f32(2) - f32(abs(v - j)) * rcp_step)
+                    k = tent * tent * falloff(_difference(own, screen, roughness, u, v))
                     total += k
                     x = ZERO
                     for c in range(FILTERED):
-                        smooth[i, j, c] += k * smooth[u, v, c]
+                        sums[c] += k * smooth[u, v, c]
                         x += smooth[u, v, c] if c < SHARE else ZERO
                     mean += k * x
                     squares += k * x * x
@@ -155,4 +176,4 @@ def spread_reflections(begin, end, smooth, blur, screen, roughness, step, traced
             is_sharp = sharpest < APART * step_m
             weak[i, j] = not total >= WEAK or (is_sharp and squares * total > (ONE + UNREST * UNREST) * mean * mean)
             for c in range(FILTERED):
-                smooth[i, j, c] /= max(total, f32(1e-30))
+                smooth[i, j, c] = sums[c] / max(total, f32(1e-30))
