@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .core.frame import Frame, Light, LightKind
+from .core.radiometry import brightest
 from .core.settings import Settings
 from .core.techniques import ALWAYS_ON
 from .passes import TECHNIQUES
@@ -104,7 +105,7 @@ def plan_frame(frame: Frame, settings: Settings, capture: CapturePlan) -> Plan:
     facts = {"surface_pixels": int(mask.sum()), "surface_share": float(mask.mean()), "lights": len(frame.lights),
              "light_views": len(frame.views),
              "triangles": len(frame.geometry) if frame.geometry is not None else 0,
-             "glossy_share": float((frame.gbuffer.specular.max(-1) > 0).mean())}
+             "glossy_share": float((brightest(frame.gbuffer.specular) > 0).mean())}
     chosen, owner = set(), {}
     for name in _by_preference(settings):
         technique, reason = TECHNIQUES[name], None
@@ -149,7 +150,7 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
         return "no surface shines"
     if name == "final_gather" and frame.world.is_black and not has_emitters:
         return "the world is black, and no surface shines"
-    if name == "ssr" and not (frame.gbuffer.specular[mask] > NEGLIGIBLE).any():
+    if name == "ssr" and not ((brightest(frame.gbuffer.specular) > NEGLIGIBLE) & mask).any():
         return "no surface in view is glossy"
     if name == "ssr" and not (frame.lights or not frame.world.is_black or frame.gbuffer.emission[mask].any()
                               or has_emitters):

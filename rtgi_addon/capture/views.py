@@ -17,6 +17,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core.frame import GBuffer
+from ..core.radiometry import mean_of
 from ..core.transforms import Camera, Projection, ViewFormat
 from ..errors import CaptureError, InputError
 from .lights import rigid
@@ -231,7 +232,7 @@ class ViewCapture:
         R = (d + g r) / (d + g) gives r. Before that the material's own number serves.
         """
         if ROUGHNESS_PASS in passes:
-            d, g = albedo.mean(-1), specular.mean(-1)
+            d, g = mean_of(albedo), mean_of(specular)
             rough = (passes[ROUGHNESS_PASS][..., 0] * (d + g) - d) / np.maximum(g, 1e-4)
             return np.where(g > 1e-4, np.clip(rough, 0, 1), 1.0)
         return self._of_materials(passes, "roughness", 1.0)

@@ -13,6 +13,16 @@ from .frame import Light, LightKind
 from .transforms import Camera, Projection
 
 
+def brightest(colour: np.ndarray) -> np.ndarray:
+    """(...) the largest of the three numbers of `colour` (..., 3); along so short an axis numpy takes 25 times as long."""
+    return np.maximum(np.maximum(colour[..., 0], colour[..., 1]), colour[..., 2])
+
+
+def mean_of(colour: np.ndarray) -> np.ndarray:
+    """(...) the mean of the three numbers of `colour` (..., 3), for the same reason."""
+    return (colour[..., 0] + colour[..., 1] + colour[..., 2]) * np.float32(1 / 3)
+
+
 def point_intensity(power_w: float, radius_m: float, normalize: bool) -> float:
     """Radiant intensity W/sr of a POINT or SPOT of `power_w`.
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..core.frame import Frame
+from ..core.radiometry import brightest
 from ..kernels.octahedron import look_up
 from ..kernels.planes import smooth_planes, spread_planes
 from ..kernels.screen import Screen
@@ -72,7 +73,7 @@ def ambient_light(frame: Frame, gather: Gather, context: Context, text: str, rad
     if frame.world.is_black or not g.mask.any():
         return PassResult({Transport.WORLD_DIFFUSE: np.zeros_like(g.albedo)}, np.ones(g.shape, np.float32), diagnostics)
     table, mask = irradiance_table(frame.world), g.mask
-    lit = mask if table.min() > 0 else mask & (look_up(table, g.normal_ws, mask).max(-1) > 0)
+    lit = mask if table.min() > 0 else mask & (brightest(look_up(table, g.normal_ws, mask)) > 0)
     values = screen_visibility(frame, gather, lit, context, text, lattice_px, blur, overscan)
     light, visibility = light_through(table, values, g.normal_ws, mask, g.albedo, has_bounces)
     return PassResult({Transport.WORLD_DIFFUSE: light}, visibility, diagnostics)

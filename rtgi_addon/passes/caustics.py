@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..core.frame import Frame, LightView
+from ..core.radiometry import brightest
 from ..core.transforms import Camera
 from ..kernels.brdf import albedo_table
 from ..kernels.bvh import Bvh
@@ -44,7 +45,7 @@ TILE_PHOTONS = 1 << 16      # between two looks at Esc
 def _is_sharp(view: LightView) -> np.ndarray:
     """(H, W) bool: texels whose lobe is left to photons."""
     g = view.gbuffer
-    return (g.roughness**2 < SHARPEST) & (g.specular.max(-1) > 0)
+    return (g.roughness**2 < SHARPEST) & (brightest(g.specular) > 0)
 
 
 def mirror_share(frame: Frame) -> float:

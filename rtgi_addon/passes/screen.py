@@ -8,6 +8,7 @@ import enum
 import numpy as np
 
 from ..core.frame import Frame, GBuffer
+from ..core.radiometry import brightest
 from ..core.transforms import Projection, normalized
 from ..kernels import shadow
 from ..kernels.bvh import Bvh
@@ -106,13 +107,13 @@ def classify_tiles(gbuffer: GBuffer, world_irradiance: np.ndarray | None = None,
     WORLD_LIGHT.
     """
     mask = gbuffer.mask
-    is_glossy = mask & (gbuffer.specular.max(-1) > 0)
+    is_glossy = mask & (brightest(gbuffer.specular) > 0)
     is_sharp = gbuffer.roughness < mirror_roughness
     kinds = mask * np.uint8(Tile.SURFACE)
     kinds |= (is_glossy & is_sharp) * np.uint8(Tile.MIRROR)
     kinds |= (is_glossy & ~is_sharp) * np.uint8(Tile.ROUGH)
     if world_irradiance is not None:
-        kinds |= (mask & (world_irradiance.max(-1) > 0)) * np.uint8(Tile.WORLD_LIGHT)
+        kinds |= (mask & (brightest(world_irradiance) > 0)) * np.uint8(Tile.WORLD_LIGHT)
     return _by_tile(kinds)
 
 

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..core.frame import Frame
+from ..core.radiometry import brightest
 from ..core.techniques import VxgiParams
 from ..core.transforms import Projection
 from ..kernels.sampling import PLACE_BITS, PLACE_MASK
@@ -132,7 +133,7 @@ def _glossy(frame: Frame, scene: VoxelScene, lit: LitVoxels, levels: Levels) -> 
     """(H, W, 3) float32 radiance that leaves the glossy pixels, colour included: one cone each."""
     g, camera = frame.gbuffer, frame.camera
     out = np.zeros_like(g.albedo)
-    shiny = g.mask & (g.specular.max(-1) > 0)
+    shiny = g.mask & (brightest(g.specular) > 0)
     position = g.position_ws[shiny]
     if camera.projection is Projection.ORTHOGRAPHIC:
         to_viewer = np.broadcast_to(camera.world_from_view[:3, 2], position.shape)
