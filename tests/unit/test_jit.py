@@ -11,7 +11,7 @@ import pytest
 
 from rtgi_addon.kernels import jit
 from rtgi_addon.kernels.bvh import build_bvh
-from rtgi_addon.kernels.jit import device_jit, kernel_session, prefetch, select
+from rtgi_addon.kernels.jit import device_jit, kernel_session, pixel_jit, prefetch, scratch, select
 from rtgi_addon.kernels.pilot import cast_rays
 
 
@@ -88,3 +88,25 @@ def test_selects_take_the_number_that_their_condition_names():
     _larger_halves(numbers, out)
     assert np.array_equal(out[0], np.where(numbers > 1, numbers, -1))
     assert np.array_equal(out[1], np.where(numbers > 1, numbers / 2, -1))
+
+
+ROOM = 5
+
+
+@pixel_jit
+def _reverse_in_scratch(begin, end, rows, out):
+    room = scratch(ROOM, np.float32)
+    for i in range(begin, end):
+        for j in range(ROOM):
+            room[j] = rows[i, j]
+        for j in range(ROOM):
+            out[i, j] = room[ROOM - 1 - j] + np.float32(len(room))
+
+
+def test_scratch_is_an_array_of_each_thread_and_type():
+    rows = np.arange(4000 * ROOM, dtype=np.float32).reshape(-1, ROOM)
+    out = np.zeros_like(rows)
+    with kernel_session(2):
+        _reverse_in_scratch(len(rows), rows, out)
+    np.testing.assert_array_equal(out, rows[:, ::-1] + ROOM)
+    assert scratch(ROOM, np.float32).shape == (ROOM,)      # in plain Python too
