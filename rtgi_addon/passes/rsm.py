@@ -19,11 +19,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.frame import Frame, Light, LightKind, LightView
+from ..core.frame import Frame, GBuffer, Light, LightKind, LightView
 from ..core.radiometry import texel_solid_angle
 from ..core.techniques import RsmParams
 from ..kernels.brdf import albedo_table, mean_albedo_table
@@ -38,19 +38,20 @@ from .caustics import SHARPEST, add_caustics, photons_for
 from .direct import pack_lamp
 from .lattice import gather_in_tiles, gather_on_lattice
 from .screen import is_shown
+from .surroundings import reach_out_m
+from .uneven_texels import is_uneven, split_texels
 
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MOST_GAIN = f32(4)          # of a lamp's size: at grazing places its centre gives nearly nothing
 MIN_DISTANCE2 = 1e-8        # of the scene's size squared: keeps 1 / r^2 finite on the texel itself
 
 
-def is_reflecting(view: LightView, light: Light, use_glossy: bool, sharpest: float = 0.0) -> np.ndarray:
-    """(H, W) bool: texels that send light back, other than by lobes of an alpha below `sharpest`."""
-    g = view.gbuffer
+def is_reflecting(g: GBuffer, flux: np.ndarray, light: Light, use_glossy: bool, sharpest: float = 0.0) -> np.ndarray:
+    """(H, W) bool: texels that send `flux` (H, W, 3) back, other than by lobes of an alpha below `sharpest`."""
     colour = light.diffuse_factor * g.albedo
     if use_glossy:
         colour = colour + light.glossy_factor * g.specular * (g.roughness**2 >= sharpest)[..., None]
-    return np.einsum("hwc,hwc->hw", view.incident_flux, colour) > 0
+    return np.einsum("hwc,hwc->hw", flux, colour) > 0
 
 
 def _flux_of(view: LightView, light: Light) -> np.ndarray:
@@ -75,23 +76,54 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
     return texels_and_radii(frame, _fluxes_of(frame), use_glossy)[0]
 
 
-def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: bool,
-                     sharpest: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+class _Texels(NamedTuple):
+    """Texels of one lamp, (H, W): `is_wanted` bool, their flux (H, W, 3) W, and solid angle in sr or a sun's area in m2."""
+
+    light: Light
+    surfaces: GBuffer
+    is_wanted: np.ndarray
+    flux: np.ndarray
+    across: np.ndarray
+
+
+def _texels_of(frame: Frame, view: LightView, flux: np.ndarray, use_glossy: bool, sharpest: float,
+               bvh: Bvh | None) -> list[_Texels]:
+    """The texels of a view that reflect, and with a BVH in place of uneven ones the quarters of them that do."""
+    g, light = view.gbuffer, frame.lights[view.light_index]
+    is_sun = light.kind is LightKind.SUN
+    across = np.full((1, 1), np.prod(view.camera.pixel_size)) if is_sun else texel_solid_angle(view.camera)
+    across = np.broadcast_to(across, g.shape).astype(np.float32)
+    reflects = is_reflecting(g, flux, light, use_glossy, sharpest)
+    if bvh is None:
+        return [_Texels(light, g, reflects, flux, across)]
+    distance = 1.0 if is_sun else np.linalg.norm(g.position_ws - view.camera.position_ws.astype(np.float32), axis=-1)
+    size_m = np.sqrt(across) * distance
+    # also beside what reflects: the other part of a texel may
+    is_split = is_uneven(g, size_m) & flux.any(-1)
+    quarters, texel = split_texels(view, is_split, size_m, bvh, reach_out_m(frame, bvh))
+    flux_of_quarters = np.float32(0.25) * flux.reshape(-1, 3)[None, texel]
+    wanted = is_reflecting(quarters, flux_of_quarters, light, use_glossy, sharpest)
+    return [_Texels(light, g, reflects & ~is_split, flux, across),
+            _Texels(light, quarters, wanted, flux_of_quarters, np.float32(0.25) * across.ravel()[None, texel])]
+
+
+def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: bool, sharpest: float = 0.0,
+                     bvh: Bvh | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(`texel_table`, (N,) float32 m: radius of the disk that has the area of each texel on the surface that it falls on).
 
-    `fluxes` (H, W, 3) W: what arrives at the texels of each view. Lobes of an alpha below `sharpest` are left out.
+    `fluxes` (H, W, 3) W: what arrives at the texels of each view. Lobes of an alpha below `sharpest` are left out. With
+    `bvh` a texel that holds more than one surface is four, see `uneven_texels`.
     """
-    reflecting = [is_reflecting(view, frame.lights[view.light_index], use_glossy, sharpest) for view in frame.views]
-    number = sum(int(np.count_nonzero(r)) for r in reflecting)
+    texels = [part for view, flux in zip(frame.views, fluxes, strict=True)
+              for part in _texels_of(frame, view, flux, use_glossy, sharpest, bvh)]
+    number = sum(int(np.count_nonzero(part.is_wanted)) for part in texels)
     table, radius_m, offset = np.empty((ROWS, number), np.float32), np.empty(number, np.float32), 0
-    for view, reflects, flux in zip(frame.views, reflecting, fluxes, strict=True):
-        g, light, count = view.gbuffer, frame.lights[view.light_index], np.count_nonzero(reflects, axis=1)
-        is_sun = light.kind is LightKind.SUN
-        across = np.full((1, 1), np.prod(view.camera.pixel_size)) if is_sun else texel_solid_angle(view.camera)
+    for light, g, reflects, flux, across in texels:
+        count, is_sun = np.count_nonzero(reflects, axis=1), light.kind is LightKind.SUN
         fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo,
                     g.specular, g.roughness, g.f0, flux, vector(light.position_ws), vector(-light.direction_ws), is_sun,
                     albedo_table(frame.keeps_energy), mean_albedo_table(frame.keeps_energy), use_glossy, f32(sharpest),
-                    np.broadcast_to(across, reflects.shape).astype(np.float32), radius_m)
+                    across, radius_m)
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
         mine = slice(offset, offset + int(count.sum()))
         for row, factor in ((DIFFUSE, light.diffuse_factor), (GLOSSY, light.glossy_factor)):
@@ -104,7 +136,7 @@ def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: boo
 def _visible(frame: Frame, params: RsmParams, context: Context, seed: int) -> PassResult:
     bvh, fluxes, irradiance = context.bvh(frame.geometry), _fluxes_of(frame), np.zeros_like(frame.gbuffer.albedo)
     photons = photons_for(frame, params.photons) if params.glossy_texels else 0
-    table, radius_m = texels_and_radii(frame, fluxes, params.glossy_texels, SHARPEST if photons else 0.0)
+    table, radius_m = texels_and_radii(frame, fluxes, params.glossy_texels, SHARPEST if photons else 0.0, bvh)
     diagnostics: dict[str, Any] = {"texels": table.shape[1], "photons": 0}
     if table.shape[1]:
         irradiance, found = _gather_visible(frame, params, context, seed, table, radius_m, bvh)

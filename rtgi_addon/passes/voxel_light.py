@@ -72,7 +72,7 @@ def light_voxels(frame: Frame, scene: VoxelScene, use_glossy: bool = True) -> Li
     shape, origin, rcp_cell = np.array(scene.grid.shape), np.array(scene.grid.origin_ws), 1.0 / scene.grid.cell_m
     for index, view in enumerate(frame.views):
         table = texel_table(dataclasses.replace(frame, views=frame.views[index:index + 1]), use_glossy)
-        texels = np.flatnonzero(is_reflecting(view, frame.lights[view.light_index], use_glossy))
+        texels = np.flatnonzero(is_reflecting(view.gbuffer, view.incident_flux, frame.lights[view.light_index], use_glossy))
         edges, parts = measure_texels(view.gbuffer.position_ws, view.gbuffer.normal_ws, texels, f32(rcp_cell))
         first = np.concatenate([[0], np.cumsum(parts.prod(1))])
         sides = find_sides(scene.walk, shape, table, edges, parts, first, origin, rcp_cell, f32(GOOD_SCORE))
