@@ -24,13 +24,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.frame import Frame, GBuffer, Light, LightKind, LightView
-from ..core.radiometry import texel_solid_angle
+from ..core.radiometry import brightest, texel_solid_angle
 from ..core.techniques import RsmParams
 from ..kernels.brdf import albedo_table, mean_albedo_table
 from ..kernels.bvh import Bvh
 from ..kernels.clusters import DIFFUSE, GLOSSY, NORMAL, POSITION, ROWS, cluster_texels, fill_texels
 from ..kernels.gather import gather_visible
 from ..kernels.lamps import gain_of_size
+from ..kernels.texel_parts import PARTS
 from ..kernels.vec3 import f32, vector
 from ..kernels.vpl import gather_all, gather_polar, thin_texels
 from .base import Context, PassResult, Technique, Transport
@@ -39,7 +40,7 @@ from .direct import pack_lamp
 from .lattice import gather_in_tiles, gather_on_lattice
 from .screen import is_shown
 from .surroundings import reach_out_m
-from .uneven_texels import is_uneven, split_texels
+from .uneven_texels import split_uneven
 
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MOST_GAIN = f32(4)          # of a lamp's size: at grazing places its centre gives nearly nothing
@@ -87,8 +88,8 @@ class _Texels(NamedTuple):
 
 
 def _texels_of(frame: Frame, view: LightView, flux: np.ndarray, use_glossy: bool, sharpest: float,
-               bvh: Bvh | None) -> list[_Texels]:
-    """The texels of a view that reflect, and with a BVH in place of uneven ones the quarters of them that do."""
+               bvh: Bvh | None, reach_m: float) -> list[_Texels]:
+    """The texels of a view that reflect, and with a BVH in place of uneven ones the parts of them that do."""
     g, light = view.gbuffer, frame.lights[view.light_index]
     is_sun = light.kind is LightKind.SUN
     across = np.full((1, 1), np.prod(view.camera.pixel_size)) if is_sun else texel_solid_angle(view.camera)
@@ -96,15 +97,14 @@ def _texels_of(frame: Frame, view: LightView, flux: np.ndarray, use_glossy: bool
     reflects = is_reflecting(g, flux, light, use_glossy, sharpest)
     if bvh is None:
         return [_Texels(light, g, reflects, flux, across)]
-    distance = 1.0 if is_sun else np.linalg.norm(g.position_ws - view.camera.position_ws.astype(np.float32), axis=-1)
-    size_m = np.sqrt(across) * distance
-    # also beside what reflects: the other part of a texel may
-    is_split = is_uneven(g, size_m) & flux.any(-1)
-    quarters, texel = split_texels(view, is_split, size_m, bvh, reach_out_m(frame, bvh))
-    flux_of_quarters = np.float32(0.25) * flux.reshape(-1, 3)[None, texel]
-    wanted = is_reflecting(quarters, flux_of_quarters, light, use_glossy, sharpest)
+    d = g.position_ws - view.camera.position_ws.astype(np.float32)
+    size_m = np.sqrt(across if is_sun else across * np.einsum("hwc,hwc->hw", d, d))
+    # also where the middle reflects nothing: the rest of a texel may
+    is_split, parts, texel = split_uneven(view, brightest(flux) > 0, size_m, bvh, reach_m)
+    flux_of_parts = np.float32(1 / PARTS) * flux.reshape(-1, 3)[None, texel]
+    wanted = is_reflecting(parts, flux_of_parts, light, use_glossy, sharpest)
     return [_Texels(light, g, reflects & ~is_split, flux, across),
-            _Texels(light, quarters, wanted, flux_of_quarters, np.float32(0.25) * across.ravel()[None, texel])]
+            _Texels(light, parts, wanted, flux_of_parts, np.float32(1 / PARTS) * across.ravel()[None, texel])]
 
 
 def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: bool, sharpest: float = 0.0,
@@ -112,10 +112,11 @@ def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: boo
     """(`texel_table`, (N,) float32 m: radius of the disk that has the area of each texel on the surface that it falls on).
 
     `fluxes` (H, W, 3) W: what arrives at the texels of each view. Lobes of an alpha below `sharpest` are left out. With
-    `bvh` a texel that holds more than one surface is four, see `uneven_texels`.
+    `bvh` a texel that holds more than one surface is split, see `uneven_texels`.
     """
+    reach_m = reach_out_m(frame, bvh) if bvh is not None else 0.0
     texels = [part for view, flux in zip(frame.views, fluxes, strict=True)
-              for part in _texels_of(frame, view, flux, use_glossy, sharpest, bvh)]
+              for part in _texels_of(frame, view, flux, use_glossy, sharpest, bvh, reach_m)]
     number = sum(int(np.count_nonzero(part.is_wanted)) for part in texels)
     table, radius_m, offset = np.empty((ROWS, number), np.float32), np.empty(number, np.float32), 0
     for light, g, reflects, flux, across in texels:
