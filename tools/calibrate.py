@@ -85,7 +85,7 @@ GRIDS: dict[str, list[dict[str, Any]]] = {
     "world": [*_RAYS, {"lattice_px": 4, "rays": 32}, {"lattice_px": 2, "rays": 12}],
     "emission": _clustered({"lattice_px": 8, "rays": 16, "clusters": 256}),
     "rsm": _clustered({"lattice_px": 8, "rays": 24, "clusters": 256}),
-    "final_gather": [*_RAYS, {"lattice_px": 8, "rays": 12}],
+    "final_gather": [*_RAYS, {"lattice_px": 8, "rays": 12}, {"lattice_px": 4, "rays": 12}],
     "ssr": _grid(samples=(1, 2, 4, 8, 16, 32, 64)),
     **{name: _of_presets(name) for name in ("vxgi", "lpv")},
 }

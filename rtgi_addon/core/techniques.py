@@ -182,7 +182,7 @@ class FinalGatherParams(Params):
     """The bounce of the world's light and of emissive surfaces: rays that ask their hits."""
 
     rays: int = param(
-        24, "Rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
+        12, "Rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
     lattice_px: int = param(
         4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
@@ -206,7 +206,7 @@ class SsrParams(Params):
                  ("WORLD", "World", "The world alone; black where it is black"),
                  ("CONES", "Voxel Cones", "The glossy light of the voxel cones, where that technique runs; else rays")))
     samples: int = param(
-        16, "Rays for each block of 4x4 pixels, at least one for each smooth pixel; noise falls with the square root",
+        8, "Rays for each block of 4x4 pixels, at least one for each smooth pixel; noise falls with the square root",
         low=1, high=4096, soft_high=256)
     lattice_px: int = param(
         4, "Largest distance between traced pixels on rough surfaces; pixels between them are interpolated",

@@ -11,7 +11,7 @@ from .jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
 from .shadow import ORTHOGRAPHIC, PERSPECTIVE
 from .vec3 import ONE, ZERO, Vec3, add, along, dot, f32, load_pixel, scaled, sub, turned_by
 
-PARTS = 4                   # of an uneven texel: two quarters that touch at its middle; four err less by a fiftieth
+PARTS = 4                   # of an uneven texel; two quarters on a diagonal err more, by a fiftieth on five scenes
 OFF_PX = f32(0.5)           # distance from a texel's plane, in texels, from which a neighbour shows another surface
 TURNED = f32(0.9)           # cosine of two normals below which two texels show a crease, where they are
 CREASE_PX = f32(0.1)        # so far off one's plane: a bump map turns normals on one plane
@@ -83,7 +83,6 @@ def _look_through_parts(begin, end, depth, position, normal, is_lit, size_m, pro
                     nearest = min(nearest, depth[u, v])
             before = BEFORE * nearest
             for k in range(PARTS):
-                # the two on one diagonal, and those of the neighbours on the other
                 across, down = k % 2, k // 2
                 x = left + (f32(j) + f32(0.25) + f32(0.5) * f32(across)) * step_x
                 y = top - (f32(i) + f32(0.25) + f32(0.5) * f32(down)) * step_y
@@ -112,7 +111,7 @@ def look_through_parts(depth, position, normal, is_lit, size_m, projection, worl
     Returns (texels that are split (H, W) bool; places and normals of their parts (H, W, PARTS, 3), depths (H, W, PARTS)
     float32 m; flat index (H, W, PARTS) int64 of the neighbour that shows the same surface, -1 for what shows nothing).
     depth (H, W) m, +inf for nothing, position, normal (H, W, 3): of the view; size_m (H, W) float32: width of a texel there;
-    projection, left, top, step_x, step_y: of its image plane; world_from_view (3, 4) float32; reach_m leads out of the scene.
+    projection, left, top, step_x, step_y: of its image plane; world_from_view (3, 4) float32; reach_m: out of the scene.
     """
     height, width = depth.shape
     is_split, like = np.zeros((height, width), np.bool_), np.full((height, width, PARTS), -1, np.int64)

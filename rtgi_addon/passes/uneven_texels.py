@@ -2,8 +2,8 @@
 
 A texel is known by what the lamp sees through its middle. Where a wall meets a pilaster, or one thing stands before another,
 part of its light falls elsewhere: on a surface that may face the very places that the middle's turns away from. Rays of the
-lamp through the triangles, through two quarters of the texel, tell where. Colours are those of the neighbouring texel that
-shows the same surface.
+lamp through the triangles, one for each quarter, tell where. Colours are those of the neighbouring texel that shows the
+same surface.
 """
 
 from __future__ import annotations
