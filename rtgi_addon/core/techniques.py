@@ -182,9 +182,9 @@ class FinalGatherParams(Params):
     """The bounce of the world's light and of emissive surfaces: rays that ask their hits."""
 
     rays: int = param(
-        12, "Rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
+        16, "Rays from each gather point; noise falls with the square root", low=1, high=1024, soft_high=256)
     lattice_px: int = param(
-        4, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
+        8, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
 
 
@@ -350,7 +350,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
     "DRAFT": {
         "direct": {"soft_shadow_rays": 8},
         "world": {"lattice_px": 4, "rays": 16},
-        "emission": {"lattice_px": 8, "rays": 16, "clusters": 256},
+        "emission": {"lattice_px": 8, "rays": 8, "clusters": 512},
         "rsm": {"lattice_px": 8, "rays": 16, "clusters": 512, "map_texels": 16384},
         "vxgi": {"resolution": 96, "lattice_px": 8, "cones": 32},
         "lpv": {"resolution": 24, "directions": 4, "lattice_px": 8},
@@ -370,7 +370,7 @@ PRESET_PARAMS: dict[str, dict[str, dict[str, Any]]] = {
         "hbao": {"slices": 2, "steps": 12, "lattice_px": 1, "overscan": 0.0},
         "ssao": {"samples": 16, "lattice_px": 1, "overscan": 0.0},
         "ssdo": {"slices": 1, "steps": 8, "lattice_px": 2, "samples": 32},
-        "final_gather": {"lattice_px": 4, "rays": 12},
+        "final_gather": {"lattice_px": 8, "rays": 16},
         "ssr": {"samples": 8},
     },
     "QUALITY": {
