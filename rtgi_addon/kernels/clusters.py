@@ -31,6 +31,7 @@ CLUSTER_ROWS = 15
 MIN_ALPHA = f32(0.1)        # sharper lobes are widened: in a gather their noise costs more than their blur
 LOBE_SHARE = f32(1e-3)      # a glossy lobe below this share of the texel's flux is dropped
 LEAST_COSINE = f32(0.1)     # of a texel's normal to its lamp: on flatter ones its disk grows no longer
+TIE = 1 + 1e-5              # what lies less apart is equal: in even scenes rounding would choose the cuts
 NORMAL_WEIGHT = 0.15        # how far apart in scene sizes two opposite normals count, when clusters are split
 
 
@@ -130,7 +131,8 @@ def _split(feature, weight, order, first, last, number, start, end, cost):
 
     `cost` gets the weighted variance of each run.
 
-    Each step halves the cluster of largest weighted variance at the weighted mean of its widest feature.
+    Each step halves the cluster of largest weighted variance at the weighted mean of its widest feature. Of equal ones the
+    first is taken, and what lies on the mean goes to the first part.
     """
     cut, axis = np.zeros(number), np.zeros(number, np.int64)
     m1, m2 = np.zeros(6), np.zeros(6)
@@ -147,10 +149,14 @@ def _split(feature, weight, order, first, last, number, start, end, cost):
                 for a in range(6):
                     spread = m2[a] - m1[a] * m1[a] / total
                     sum_spread += max(0.0, spread)
-                    if spread > widest:
-                        widest, axis[c], cut[c] = spread, a, m1[a] / total
+                    if spread > TIE * widest:
+                        widest, axis[c] = spread, a
+                        cut[c] = m1[a] / total + (TIE - 1.0) * math.sqrt(max(spread, 0.0) / total)
                 cost[c] = sum_spread
-        worst = np.argmax(cost[:used])
+        worst = 0
+        for c in range(1, used):
+            if cost[c] > TIE * cost[worst]:
+                worst = c
         if used == number or cost[worst] <= 0.0:
             return used
         middle = _partition(feature, order, start[worst], end[worst], axis[worst], cut[worst])

@@ -12,6 +12,7 @@ from .shadow import ORTHOGRAPHIC, PERSPECTIVE
 from .vec3 import ONE, ZERO, Vec3, add, along, dot, f32, load_pixel, scaled, sub, turned_by
 
 PARTS = 4                   # of an uneven texel; two quarters on a diagonal err more, by a fiftieth on five scenes
+ASIDE_X, ASIDE_Y = f32(1e-3), f32(3e-4)     # texels from a quarter's middle: in even scenes edges pass through middles
 OFF_PX = f32(0.5)           # distance from a texel's plane, in texels, from which a neighbour shows another surface
 TURNED = f32(0.9)           # cosine of two normals below which two texels show a crease, where they are
 CREASE_PX = f32(0.1)        # so far off one's plane: a bump map turns normals on one plane
@@ -84,8 +85,8 @@ def _look_through_parts(begin, end, depth, position, normal, is_lit, size_m, pro
             before = BEFORE * nearest
             for k in range(PARTS):
                 across, down = k % 2, k // 2
-                x = left + (f32(j) + f32(0.25) + f32(0.5) * f32(across)) * step_x
-                y = top - (f32(i) + f32(0.25) + f32(0.5) * f32(down)) * step_y
+                x = left + (f32(j) + f32(0.25) + f32(0.5) * f32(across) + ASIDE_X) * step_x
+                y = top - (f32(i) + f32(0.25) + f32(0.5) * f32(down) + ASIDE_Y) * step_y
                 origin, d = _ray(projection, x, y)
                 d = turned_by(world_from_view, d)
                 start = along(add(eye, turned_by(world_from_view, origin)), d, before)
