@@ -68,7 +68,7 @@ def test_parts_show_what_a_view_of_twice_the_size_shows(kind):
     there = np.stack([fine.position_ws[2 * row + i, 2 * column + j] for i in (0, 1) for j in (0, 1)])
     distance = np.linalg.norm(there - surfaces.position_ws[0], axis=-1)
     which = distance.argmin(0)
-    # parts are looked through a thousandth of a texel aside, 5 mm where a wall is seen flat; at a silhouette that may be beyond
+    # a thousandth of a texel aside is 5 mm where a wall is seen flat, and at a silhouette it may be beyond
     assert (distance.min(0) < 2e-3 * frame.scale_m).mean() > 0.99
     assert len(np.unique(4 * texel + which)) > 0.99 * len(texel)              # each part is another quarter of its texel
     i, j = which // 2, which % 2
