@@ -31,7 +31,8 @@ CLUSTER_ROWS = 15
 MIN_ALPHA = f32(0.1)        # sharper lobes are widened: in a gather their noise costs more than their blur
 LOBE_SHARE = f32(1e-3)      # a glossy lobe below this share of the texel's flux is dropped
 LEAST_COSINE = f32(0.1)     # of a texel's normal to its lamp: on flatter ones its disk grows no longer
-TIE = 1 + 1e-5              # what lies less apart is equal: in even scenes rounding would choose the cuts
+TIE = 1 + 1e-4              # what lies less apart is equal: in even scenes rounding would choose the cuts, and a kilometre
+                            # off the origin places lose 6e-5 m
 NORMAL_WEIGHT = 0.15        # how far apart in scene sizes two opposite normals count, when clusters are split
 
 

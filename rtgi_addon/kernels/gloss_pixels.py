@@ -88,17 +88,3 @@ def colour_pixels(smooth, step, screen, roughness, specular, albedos, shines):
     _colour_pixels(step.shape[0], smooth, step, screen, roughness, specular, albedos, bounce,
                    around if shines else around[:0])
     return bounce, around
-
-
-@pixel_jit
-def _mean_colour(begin, end, light, out):
-    for i in range(begin, end):
-        for j in range(out.shape[1]):
-            out[i, j] = f32(1 / 3) * (light[i, j, 0] + light[i, j, 1] + light[i, j, 2])
-
-
-def mean_colour(light):
-    """(H, W) float32: mean over the colours of `light` (H, W, 3)."""
-    out = np.empty(light.shape[:2], np.float32)
-    _mean_colour(out.shape[0], light, out)
-    return out

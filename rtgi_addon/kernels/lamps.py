@@ -329,11 +329,11 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
     """(irradiance, integral of radiance x glossy lobe) at p from a lamp of unit strength, nothing standing between.
 
     One sample serves a lamp that looks tiny, four a small one, and many an area light that looks large or is narrow; the
-    lobe is widened by the part of the lamp that a sample stands for. Large Lambertian areas have a closed form, and above
-    the horizon spheres, suns and disks that face the point: theirs is the centre's irradiance, for a disk over 1 + size^2
-    (offsets cancel, and the mean of (1 + s^2)^-2 over it is that). A lobe that
-    is narrow beside the lamp shows its shape. `reflectance` is what a colour multiplies the lobe with, 0 for none. Of a
-    lamp that `is_faint` beside others the centre stands for all, and so it does in a lobe that adds little to matt light.
+    lobe is widened by the part of the lamp that a sample stands for. Large Lambertian areas have a closed form, and so have
+    spheres, suns and disks that face the point, above the horizon: the centre's irradiance, for a disk over 1 + size^2
+    (offsets cancel, and the mean of (1 + s^2)^-2 over it is that). A lobe that is narrow beside the lamp shows its shape.
+    `reflectance` is what a colour multiplies the lobe with, 0 for none. Of a lamp that `is_faint` beside others the centre
+    stands for all, and so it does in a lobe that adds little to matt light.
     """
     size = apparent_size(lamp, p)
     is_area = lamp.kind >= RECTANGLE_LAMP

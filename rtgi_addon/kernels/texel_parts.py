@@ -11,7 +11,7 @@ from .jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
 from .shadow import ORTHOGRAPHIC, PERSPECTIVE
 from .vec3 import ONE, ZERO, Vec3, add, along, dot, f32, load_pixel, scaled, sub, turned_by
 
-PARTS = 4                   # of an uneven texel; two quarters on a diagonal err more, by a fiftieth on five scenes
+PARTS = 4                   # of an uneven texel; two quarters on a diagonal err 2 to 5 % more on five of sixteen scenes
 ASIDE_X, ASIDE_Y = f32(1e-3), f32(3e-4)     # texels from a quarter's middle: in even scenes edges pass through middles
 OFF_PX = f32(0.5)           # distance from a texel's plane, in texels, from which a neighbour shows another surface
 TURNED = f32(0.9)           # cosine of two normals below which two texels show a crease, where they are

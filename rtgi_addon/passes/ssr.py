@@ -21,12 +21,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.frame import Frame, Geometry
+from ..core.radiometry import mean_of
 from ..core.techniques import SsrParams
 from ..kernels.brdf import albedo_table
 from ..kernels.bvh import build_bvh
 from ..kernels.depth_pyramid import build_pyramid
 from ..kernels.gloss_filter import blur_of_pixels, smooth_reflections, spread_reflections
-from ..kernels.gloss_pixels import LEAST_SUM, colour_pixels, mean_colour, on_lattice, sort_pixels
+from ..kernels.gloss_pixels import LEAST_SUM, colour_pixels, on_lattice, sort_pixels
 from ..kernels.lit_hits import Gloss
 from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Rules, collect_rays, draw_rays, follow_rays, make_rays
 from ..kernels.scene_light import ask_scene
@@ -157,7 +158,7 @@ class _Tracer:
         pyramid = build_pyramid(screen, SLACK_PX, 0.0 if has_rays else params.thickness * frame.scale_m,
                                 self._looks_at_picture)
         lit = context.light.get(Transport.DIRECT_DIFFUSE)
-        irradiance = np.zeros(g.shape, np.float32) if lit is None else mean_colour(lit)
+        irradiance = np.zeros(g.shape, np.float32) if lit is None else mean_of(lit)
         gloss = Gloss(leave_surfaces(frame, context, _DIRECT), g.emission, irradiance, g.specular, g.roughness, g.f0,
                       albedo_table(frame.keeps_energy))
         bvh = context.bvh(frame.geometry) if has_rays else build_bvh(np.zeros((0, 3, 3), np.float32))

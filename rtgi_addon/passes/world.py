@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.frame import Frame, World
+from ..core.radiometry import mean_of
 from ..core.techniques import WorldParams
-from ..kernels.gloss_pixels import mean_colour
 from ..kernels.sky import gather_sky
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
@@ -76,7 +76,7 @@ def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int
 def _visibility(irradiance: np.ndarray, sky: World, normal_ws: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(H, W) float32: irradiance over what an open surface of the same normal would get, in [0, 1]."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = mean_colour(irradiance) / mean_colour(open_irradiance(sky, normal_ws, mask))
+        share = mean_of(irradiance) / mean_of(open_irradiance(sky, normal_ws, mask))
     return np.where(mask, np.clip(np.nan_to_num(share, nan=1.0, posinf=1.0), 0, 1), 1).astype(np.float32)
 
 
