@@ -349,7 +349,11 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
         return ZERO, ZERO
     # every part is above the horizon, and none is brighter than the others
     is_whole = height > size and not is_area and size < (ROUND if lamp.spot_scale == ZERO else SMALL)
-    share_of_centre = ONE / (ONE + size * size) if lamp.kind == DISK_LAMP else ONE
+    share_of_centre = ONE
+    if lamp.kind == DISK_LAMP:
+        share_of_centre = ONE / (ONE + size * size)
+    elif lamp.kind == SPHERE_LAMP:               # pi L sin^2 of its cone over pi L 2 (1 - cos)
+        share_of_centre = HALF + HALF * math.sqrt(max(ONE - size * size, ZERO))
     is_glossy = reflectance > ZERO
     wide_alpha = max(max(alpha, HALF * min(size, ONE)), LEAST_ALPHA)
     if is_faint:

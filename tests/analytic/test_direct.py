@@ -91,6 +91,19 @@ def test_disk_that_turns_to_the_receiver_gives_slightly_less_than_a_point():
     np.testing.assert_allclose(diffuse(plane_frame(light))[CENTRE], 5 / (4 + 0.16), rtol=1e-3)
 
 
+@pytest.mark.parametrize("radius_m", [0.002, 0.012, 0.05, 0.19])
+@pytest.mark.parametrize("is_sphere", [False, True])
+@pytest.mark.parametrize("specular", [0.0, 0.04, 0.9])
+def test_small_round_lamp_gives_its_closed_form_at_every_pixel_whatever_the_lobe(radius_m, is_sphere, specular):
+    light = Light("Point", LightKind.POINT, DOWN, 5 * WHITE, radius_m=radius_m, is_sphere=is_sphere)
+    frame = polished(plane_frame(light), specular, 0.6)
+    to = np.array([0, 0, 2.0]) - frame.gbuffer.position_ws.astype(float)
+    r = np.linalg.norm(to, axis=-1)
+    # a disk that faces the point has pi L sin^2 of its cone times the cosine of its centre, L = I / (pi radius^2)
+    wanted = 5 * to[..., 2] / r / (r**2 + (0 if is_sphere else radius_m**2))
+    np.testing.assert_allclose(diffuse(dataclasses.replace(frame, geometry=None))[..., 0], wanted, rtol=2 * FLOAT32)
+
+
 def test_sun_that_half_sets_leaves_the_part_of_its_disk_above_the_horizon():
     light = Light("Sun", LightKind.SUN, looking((1.0, 0, 0), (0, 0, 0), (0, 0, 1.0)), WHITE, angle_rad=0.2)
     frame = dataclasses.replace(plane_frame(light), geometry=None)
