@@ -14,7 +14,7 @@ import numpy as np
 
 from .brdf import INV_PI, fit_lobe, matt_share
 from .jit import device_jit, inline_jit, pixel_jit
-from .vec3 import ONE, ZERO, dot, f32, load_pixel, normalized_or, sub
+from .vec3 import ONE, ZERO, along, dot, f32, load_pixel, normalized_or, scaled, sub
 
 # rows of the texel table
 POSITION, NORMAL, DIFFUSE, TO_LIGHT, GLOSSY, ALPHA2, F0 = 0, 3, 6, 9, 12, 15, 16
@@ -31,6 +31,8 @@ CLUSTER_ROWS = 15
 MIN_ALPHA = f32(0.1)        # sharper lobes are widened: in a gather their noise costs more than their blur
 LOBE_SHARE = f32(1e-3)      # a glossy lobe below this share of the texel's flux is dropped
 LEAST_COSINE = f32(0.1)     # of a texel's normal to its lamp: on flatter ones its disk grows no longer
+SAME_NORMAL = f32(0.99999)  # cosine above which the shading normal is that of the triangle, but for rounding
+MOST_LIT = f32(4)           # of what arrives at a triangle: where only the shading normal faces the lamp
 TIE = 1 + 1e-4              # what lies less apart is equal: in even scenes rounding would choose the cuts, and a kilometre
                             # off the origin places lose 6e-5 m
 NORMAL_WEIGHT = 0.15        # how far apart in scene sizes two opposite normals count, when clusters are split
@@ -58,12 +60,20 @@ class Clusters(NamedTuple):
     guide: np.ndarray
 
 
+@inline_jit
+def _as_if_from(w, n, m):
+    """Direction from which light has to come for a surface of normal m to mirror it where normal n mirrors that along w."""
+    mirrored = along(scaled(w, -ONE), n, f32(2) * dot(n, w))
+    return along(scaled(mirrored, -ONE), m, f32(2) * dot(m, mirrored)) if dot(m, mirrored) > LEAST_COSINE else w
+
+
 @pixel_jit
-def fill_texels(begin, end, table, first, reflects, position, normal, albedo, specular, roughness, known_f0, flux,
+def fill_texels(begin, end, table, first, reflects, position, normal, face, albedo, specular, roughness, known_f0, flux,
                 light_position, to_sun, is_sun, albedos, means, use_glossy, sharpest, across, radius):
     """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row.
 
-    Lobes of an alpha below `sharpest` are left out. `radius` (N,) gets the radius in m of the disk that has the texel's area
+    A surface of shading normal `normal` (H, W, 3) is lit as that says, over the area that its triangle, of normal `face`,
+    turns to the lamp, and sends from there. Lobes of an alpha below `sharpest` are left out. `radius` (N,) gets the radius in m of the disk that has the texel's area
     on the surface; `across` (H, W) is the texel's solid angle, or its area in m2 where the lamp is a sun.
     """
     height, width = roughness.shape
@@ -72,25 +82,29 @@ def fill_texels(begin, end, table, first, reflects, position, normal, albedo, sp
         for j in range(width):
             if not reflects[i, j]:
                 continue
-            p, n = load_pixel(position, i, j), load_pixel(normal, i, j)
+            p, n, m = load_pixel(position, i, j), load_pixel(normal, i, j), load_pixel(face, i, j)
             w = to_sun if is_sun else normalized_or(sub(light_position, p), n)
             alpha = roughness[i, j] * roughness[i, j]
             has_lobe = use_glossy and alpha >= sharpest
             alpha = min(max(alpha, MIN_ALPHA), ONE)
             d, cosine = sub(light_position, p), min(max(dot(n, w), ZERO), f32(0.999))
-            radius[k] = math.sqrt(across[i, j] * (ONE if is_sun else dot(d, d)) * INV_PI / max(cosine, LEAST_COSINE))
+            of_face = max(dot(m, w), LEAST_COSINE)
+            radius[k] = math.sqrt(across[i, j] * (ONE if is_sun else dot(d, d)) * INV_PI / of_face)
+            lit = min(max(dot(n, w), ZERO) / of_face, MOST_LIT) if dot(n, m) < SAME_NORMAL else ONE
             reflectance = (specular[i, j, 0] + specular[i, j, 1] + specular[i, j, 2]) * f32(1 / 3)
             f0, gain = fit_lobe(reflectance, cosine, alpha, albedos, known_f0[i, j])
             below, diffuse, glossy = matt_share(reflectance, cosine, alpha, f0, albedos, means), ZERO, ZERO
             for a in range(3):
-                table[DIFFUSE + a, k] = flux[i, j, a] * min(albedo[i, j, a] * below, ONE)
-                table[GLOSSY + a, k] = flux[i, j, a] * specular[i, j, a] * gain if has_lobe else ZERO
+                table[DIFFUSE + a, k] = lit * flux[i, j, a] * min(albedo[i, j, a] * below, ONE)
+                table[GLOSSY + a, k] = lit * flux[i, j, a] * specular[i, j, a] * gain if has_lobe else ZERO
                 diffuse += table[DIFFUSE + a, k]
                 glossy += table[GLOSSY + a, k]
             table[POSITION, k], table[POSITION + 1, k], table[POSITION + 2, k] = p.x, p.y, p.z
-            table[NORMAL, k], table[NORMAL + 1, k], table[NORMAL + 2, k] = n.x, n.y, n.z
-            table[TO_LIGHT, k], table[TO_LIGHT + 1, k], table[TO_LIGHT + 2, k] = w.x, w.y, w.z
+            table[NORMAL, k], table[NORMAL + 1, k], table[NORMAL + 2, k] = m.x, m.y, m.z
             table[ALPHA2, k] = alpha * alpha if glossy > LOBE_SHARE * (diffuse + glossy) else NO_LOBE
+            if lit != ONE and table[ALPHA2, k] < NO_LOBE:
+                w = _as_if_from(w, n, m)
+            table[TO_LIGHT, k], table[TO_LIGHT + 1, k], table[TO_LIGHT + 2, k] = w.x, w.y, w.z
             table[F0, k] = f0
             k += 1
 

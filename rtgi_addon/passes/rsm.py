@@ -40,7 +40,7 @@ from .direct import pack_lamp
 from .lattice import gather_in_tiles, gather_on_lattice
 from .screen import is_shown
 from .surroundings import reach_out_m
-from .uneven_texels import split_uneven
+from .uneven_texels import look_through
 
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MOST_GAIN = f32(4)          # of a lamp's size: at grazing places its centre gives nearly nothing
@@ -78,10 +78,14 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
 
 
 class _Texels(NamedTuple):
-    """Texels of one lamp, (H, W): `is_wanted` bool, their flux (H, W, 3) W, and solid angle in sr or a sun's area in m2."""
+    """Texels of one lamp, (H, W): `is_wanted` bool, their flux (H, W, 3) W, and solid angle in sr or a sun's area in m2.
+
+    faces_ws (H, W, 3): normals of their triangles, or shading normals again where those are not known.
+    """
 
     light: Light
     surfaces: GBuffer
+    faces_ws: np.ndarray
     is_wanted: np.ndarray
     flux: np.ndarray
     across: np.ndarray
@@ -96,15 +100,16 @@ def _texels_of(frame: Frame, view: LightView, flux: np.ndarray, use_glossy: bool
     across = np.broadcast_to(across, g.shape).astype(np.float32)
     reflects = is_reflecting(g, flux, light, use_glossy, sharpest)
     if bvh is None:
-        return [_Texels(light, g, reflects, flux, across)]
+        return [_Texels(light, g, g.normal_ws, reflects, flux, across)]
     d = g.position_ws - view.camera.position_ws.astype(np.float32)
     size_m = np.sqrt(across if is_sun else across * np.einsum("hwc,hwc->hw", d, d))
     # also where the middle reflects nothing: the rest of a texel may
-    is_split, parts, texel = split_uneven(view, brightest(flux) > 0, size_m, bvh, reach_m)
-    flux_of_parts = np.float32(1 / PARTS) * flux.reshape(-1, 3)[None, texel]
-    wanted = is_reflecting(parts, flux_of_parts, light, use_glossy, sharpest)
-    return [_Texels(light, g, reflects & ~is_split, flux, across),
-            _Texels(light, parts, wanted, flux_of_parts, np.float32(1 / PARTS) * across.ravel()[None, texel])]
+    found = look_through(view, brightest(flux) > 0, size_m, bvh, reach_m)
+    flux_of_parts = np.float32(1 / PARTS) * flux.reshape(-1, 3)[None, found.whole]
+    wanted = is_reflecting(found.parts, flux_of_parts, light, use_glossy, sharpest)
+    return [_Texels(light, g, found.faces_ws, reflects & ~found.is_split, flux, across),
+            _Texels(light, found.parts, found.part_faces_ws, wanted, flux_of_parts,
+                    np.float32(1 / PARTS) * across.ravel()[None, found.whole])]
 
 
 def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: bool, sharpest: float = 0.0,
@@ -112,17 +117,18 @@ def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: boo
     """(`texel_table`, (N,) float32 m: radius of the disk that has the area of each texel on the surface that it falls on).
 
     `fluxes` (H, W, 3) W: what arrives at the texels of each view. Lobes of an alpha below `sharpest` are left out. With
-    `bvh` a texel that holds more than one surface is split, see `uneven_texels`.
+    `bvh` texels send from their triangles, whatever way shading normals turn, and one that holds more than one surface is
+    split, see `uneven_texels`.
     """
     reach_m = reach_out_m(frame, bvh) if bvh is not None else 0.0
     texels = [part for view, flux in zip(frame.views, fluxes, strict=True)
               for part in _texels_of(frame, view, flux, use_glossy, sharpest, bvh, reach_m)]
     number = sum(int(np.count_nonzero(part.is_wanted)) for part in texels)
     table, radius_m, offset = np.empty((ROWS, number), np.float32), np.empty(number, np.float32), 0
-    for light, g, reflects, flux, across in texels:
+    for light, g, faces_ws, reflects, flux, across in texels:
         count, is_sun = np.count_nonzero(reflects, axis=1), light.kind is LightKind.SUN
-        fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, g.albedo,
-                    g.specular, g.roughness, g.f0, flux, vector(light.position_ws), vector(-light.direction_ws), is_sun,
+        fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, faces_ws,
+                    g.albedo, g.specular, g.roughness, g.f0, flux, vector(light.position_ws), vector(-light.direction_ws), is_sun,
                     albedo_table(frame.keeps_energy), mean_albedo_table(frame.keeps_energy), use_glossy, f32(sharpest),
                     across, radius_m)
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
