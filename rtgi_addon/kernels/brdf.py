@@ -89,6 +89,18 @@ def sample_lobe(normal, fixed, alpha, u, v):
     return normalized_or(to_world(out, tangent, bitangent, normal), normal), out.z * (k * z + size) / shadow
 
 
+@device_jit
+def lobe_density(normal, fixed, other, alpha):
+    """1/sr with which `sample_lobe` draws the direction `other`: its lobe over its weight, in which shadowing cancels."""
+    z, alpha2 = min(max(dot(normal, fixed), f32(1e-4)), ONE), alpha * alpha
+    sin2 = ONE - z * z
+    spread = (ONE + math.sqrt(sin2)) * (ONE + math.sqrt(sin2))
+    k = (ONE - alpha2) * spread / (spread + alpha2 * z * z)
+    cos_h = dot(normal, normalized_or(add(fixed, other), normal))
+    t = cos_h * cos_h * (alpha2 - ONE) + ONE
+    return alpha2 * INV_PI / (t * t + f32(1e-12)) * HALF / (k * z + math.sqrt(alpha2 * sin2 + z * z))
+
+
 @functools.cache
 def albedo_table(keeps_energy: bool = True) -> np.ndarray:
     """(GAIN_STEPS, GAIN_STEPS, 2) float32: hemispherical integrals of the lobe, without Fresnel and of Fresnel's rise alone.

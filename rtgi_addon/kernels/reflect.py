@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import fit_lobe, fresnel, sample_lobe
+from .brdf import fit_lobe, fresnel, lobe_density, sample_lobe
 from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y
 from .jit import borrowed, device_jit, pixel_jit
 from .lit_hits import edge_fade, gloss_of_lamps, lit_there, softened
@@ -48,6 +48,7 @@ BACK_PX = 1.5               # pixels by which a ray through the triangles starts
 SHARE, WEIGHT, NEARNESS = 6, 7, 8     # how much of the lobe is known, its sum (all before are divided by it at the end), and
                                       # the mean of 1 / length of its rays in 1/m
 MIRROR_ALPHA = f32(1e-4)    # roughness 0.01: the lobe is a tenth of a pixel wide
+AIMED_ALPHA = f32(2.5e-3)   # roughness 0.05: sharper lobes meet what shines, or nothing shows
 LEAST_COSINE = f32(0.02)    # of viewer and normal: below it the normal is turned towards the viewer
 
 
@@ -55,7 +56,8 @@ class Rules(NamedTuple):
     """How rays are followed.
 
     top: highest level of the pyramid that is used, 0 for every pixel, -1 for even steps of `step_px`; stops_hidden: see
-    `screen_rays.march`; asks: what the picture leaves goes to the triangles, else it is the world's; fade_px: width of the
+    `screen_rays.march`; asks: what the picture leaves goes to the triangles, else it is the world's; aims: lobes
+    aim at what shines too; fade_px: width of the
     frame's edge over which hits fade; offset_m: off surfaces; reach_m: leads out of picture and scene.
     """
 
@@ -63,6 +65,7 @@ class Rules(NamedTuple):
     step_px: float
     stops_hidden: bool
     asks: bool
+    aims: bool
     fade_px: np.float32
     offset_m: np.float32
     reach_m: np.float32
@@ -72,16 +75,20 @@ class Rays(NamedTuple):
     """Rays of a list of pixels, R of them, and what they bring.
 
     start, direction (R, 3) float32 m: where the picture lost the ray, unit vector; weight (R,): lobe over density, 1 in the
-    mean; answer (R,) uint8: KNOWN, SKY or ASK; share (R,): how much of `light` (R, 6) the picture gave, the rest being
-    still to come; length_m (R,) from the pixel to the hit, or to `start` as long as there is none; steps (R,) int32.
+    mean; density (R,) 1/sr of drawing the direction, 0 where nothing is aimed at what shines (`shines`); answer (R,) uint8:
+    KNOWN, SKY or ASK; share (R,): how much of `light` (R, 6) the picture gave, the rest being still to come; aimed (R, 3):
+    light of what shines by a ray aimed there, weight included; length_m (R,) from the pixel to the hit, or to `start` as
+    long as there is none; steps (R,) int32.
     """
 
     start: np.ndarray
     direction: np.ndarray
     weight: np.ndarray
+    density: np.ndarray
     answer: np.ndarray
     share: np.ndarray
     light: np.ndarray
+    aimed: np.ndarray
     length_m: np.ndarray
     steps: np.ndarray
 
@@ -89,8 +96,9 @@ class Rays(NamedTuple):
 def make_rays(count: int) -> Rays:
     """Room for `count` rays."""
     return Rays(np.zeros((count, 3), np.float32), np.zeros((count, 3), np.float32), np.zeros(count, np.float32),
-                np.zeros(count, np.uint8), np.zeros(count, np.float32), np.zeros((count, 6), np.float32),
-                np.zeros(count, np.float32), np.zeros(count, np.int32))
+                np.zeros(count, np.float32), np.zeros(count, np.uint8), np.zeros(count, np.float32),
+                np.zeros((count, 6), np.float32), np.zeros((count, 3), np.float32), np.zeros(count, np.float32),
+                np.zeros(count, np.int32))
 
 
 @device_jit
@@ -135,6 +143,30 @@ def place_in_block(i, j):
     return (j & 1) | ((i & 1) << 1) | ((j & 2) << 1) | ((i & 2) << 2)
 
 
+class Lobe(NamedTuple):
+    """The glossy lobe of a pixel: unit normals of shading and of the pixel's plane, direction to the viewer, GGX alpha,
+    reflectance at normal incidence, and the gain that makes the integral of `ggx_lobe` 1."""
+
+    normal: Vec3
+    plane: Vec3
+    viewer: Vec3
+    alpha: np.float32
+    f0: np.float32
+    gain: np.float32
+
+
+@device_jit
+def lobe_at(s, planes, gloss, i, j):
+    """The Lobe of pixel (i, j); a mirror's has neither Fresnel nor gain."""
+    viewer, plane = view_vector(s, load_pixel(s.position_ws, i, j)), plane_normal(s, planes, i, j)
+    n = usable_normal(load_pixel(s.normal_ws, i, j), plane, viewer)
+    alpha, f0, gain = gloss.roughness[i, j] * gloss.roughness[i, j], ONE, ONE
+    if alpha >= MIRROR_ALPHA:
+        reflectance = max(gloss.specular[i, j, 0], max(gloss.specular[i, j, 1], gloss.specular[i, j, 2]))
+        f0, gain = fit_lobe(reflectance, max(dot(n, viewer), LEAST_COSINE), alpha, gloss.albedos, gloss.f0[i, j])
+    return Lobe(n, plane, viewer, alpha, f0, gain)
+
+
 @pixel_jit
 def draw_rays(begin, end, index, samples, s, planes, gloss, rules, seed, rays):
     """Draw `samples` rays from the lobe of each pixel of `index` (M,) into `rays`, which must come from `make_rays`.
@@ -145,18 +177,12 @@ def draw_rays(begin, end, index, samples, s, planes, gloss, rules, seed, rays):
     width = s.depth.shape[1]
     for m in range(begin, end):
         i, j = index[m] // width, index[m] % width
-        p = load_pixel(s.position_ws, i, j)
-        viewer, plane = view_vector(s, p), plane_normal(s, planes, i, j)
-        n = usable_normal(load_pixel(s.normal_ws, i, j), plane, viewer)
-        origin = lifted(p, plane, rules.offset_m)
-        alpha = gloss.roughness[i, j] * gloss.roughness[i, j]
+        n, plane, viewer, alpha, f0, gain = lobe_at(s, planes, gloss, i, j)
+        origin = lifted(load_pixel(s.position_ws, i, j), plane, rules.offset_m)
         mirror = along(scaled(viewer, -ONE), n, f32(2) * dot(n, viewer))
-        f0, gain, shift_u, shift_v, place = ONE, ONE, ZERO, ZERO, 0
+        shift_u, shift_v, place = ZERO, ZERO, 0
         if alpha >= MIRROR_ALPHA:
-            reflectance = max(gloss.specular[i, j, 0], max(gloss.specular[i, j, 1], gloss.specular[i, j, 2]))
-            cosine = max(dot(n, viewer), LEAST_COSINE)
-            f0, gain = fit_lobe(reflectance, cosine, alpha, gloss.albedos, gloss.f0[i, j])
-            gain /= fresnel(cosine, f0)
+            gain /= fresnel(max(dot(n, viewer), LEAST_COSINE), f0)
             # pixels of a block of 4x4 share one shifted sequence, so that a filter over them sees it whole
             block, place = (i >> 2) * 65536 + (j >> 2), place_in_block(i, j)
             shift_u, shift_v = uniform(block, seed, 1), uniform(block, seed, 2)
@@ -170,6 +196,8 @@ def draw_rays(begin, end, index, samples, s, planes, gloss, rules, seed, rays):
             rays.start[r, 0], rays.start[r, 1], rays.start[r, 2] = start.x, start.y, start.z
             rays.direction[r, 0], rays.direction[r, 1], rays.direction[r, 2] = d.x, d.y, d.z
             rays.weight[r], rays.answer[r], rays.length_m[r] = weight, ASK if rules.asks else SKY, ZERO
+            if rules.aims and alpha >= AIMED_ALPHA:
+                rays.density[r] = lobe_density(n, viewer, d, alpha)
             if not dot(d, plane) > ZERO:         # below the surface: Cycles lets such light be lost
                 rays.answer[r], rays.share[r], rays.length_m[r] = KNOWN, ONE, rules.reach_m
 
@@ -266,6 +294,8 @@ def collect_rays(begin, end, index, samples, rays, is_open, nearest_m, results):
             w = rays.weight[r] / f32(samples)
             for c in range(6):
                 out[c] += w * (known * rays.light[r, c] if is_open else rays.light[r, c])
+            for c in range(3):
+                out[3 + c] += rays.aimed[r, c] / f32(samples)
             out[SHARE] += w * known
             out[WEIGHT] += w
             out[NEARNESS] += w / max(rays.length_m[r], nearest_m)

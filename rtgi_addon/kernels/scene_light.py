@@ -11,16 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import fit_lobe, fresnel, lobe_albedos, sample_lobe
-from .bvh import STACK, closest_hit, triangle_normal
+from .brdf import HALF, INV_PI, fit_lobe, fresnel, ggx_lobe, lobe_albedos, lobe_density, sample_lobe
+from .bvh import STACK, closest_hit, triangle_normal, visibility
 from .depth_pyramid import height_at, plane_slopes
 from .jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
 from .lamps import LEAST_ALPHA
 from .lit_hits import LEAST_REFLECTANCE, edge_fade, gloss_of_lamps, light_of_lamps, lit_there, softened
-from .reflect import ASK
+from .reflect import AIMED_ALPHA, ASK, lobe_at
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .screen import is_inside, to_screen, turn_to_view, view_vector
 from .shadow import ORTHOGRAPHIC
+from .shines import Shines, aim_at, aimed_at_sky, aimed_density, has_aim
 from .sky import sky_texel
 from .vec3 import (
     ONE,
@@ -36,6 +37,7 @@ from .vec3 import (
     load_pixel,
     normalized_or,
     scaled,
+    sub,
     tangent_frame,
     to_world,
 )
@@ -43,6 +45,8 @@ from .vec3 import (
 SHARP = f32(0.03)           # alpha of a lobe below which each pixel is traced by itself, by few rays; a hit is lit by
 SHARP_LOOKUPS = 4           # this many shadow rays then
 DIM = f32(0.25)             # Glossy Color below which a hit's lobe asks for what shines by a share of the rays
+UP_TO = f32(0.9999)         # of the way to an emissive triangle: a ray must not meet it
+RARE = f32(0.05)            # lobe over density below which an aimed ray is cast by chance
 BLURRED = f32(0.3)          # roughness from which the world's blurred map, 2.8 degrees a texel, serves a ray
 
 
@@ -51,7 +55,7 @@ class Surroundings(NamedTuple):
 
     albedo (T, 3, 3) and emission (T, 3) of the triangles, material (T,) int32; substance (M, 5) float32 of the materials:
     colour of the glossy lobe, roughness, F0 (see `passes.surroundings.substance_table`). sky and blurred_sky (h, w, 3): the
-    world's radiance; lights_up: whether world or emissive surfaces light anything.
+    world's radiance; lights_up: whether world or emissive surfaces light anything; shines: what rays may be aimed at.
     """
 
     albedo: np.ndarray
@@ -61,6 +65,7 @@ class Surroundings(NamedTuple):
     sky: np.ndarray
     blurred_sky: np.ndarray
     lights_up: bool
+    shines: Shines
 
 
 @device_jit
@@ -77,6 +82,18 @@ def colours_at(around, albedos, t, a, b, cosine):
 
 
 @inline_jit
+def _shining(bvh, around, slot, d, t, sky):
+    """(radiance, density 1/sr of aiming there) of what a ray along d met after t m, or of the world for a slot of -1."""
+    if slot < 0:
+        row, column = sky_texel(d, sky.shape[0], sky.shape[1])
+        return load_pixel(sky, row, column), aimed_at_sky(around.shines, d)
+    radiance = load(around.emission, bvh.source[slot])
+    if not max(radiance.x, max(radiance.y, radiance.z)) > ZERO:
+        return radiance, ZERO
+    return radiance, aimed_density(around.shines, radiance, t, abs(dot(triangle_normal(bvh, slot), d)))
+
+
+@inline_jit
 def _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m):
     """Radiance of the world or of an emissive surface that p, of normal n, sees in direction d."""
     _, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
@@ -87,11 +104,27 @@ def _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m):
 
 
 @inline_jit
-def _from_above(bvh, around, stack, p, n, albedo, offset_m, reach_m, u, v):
-    """Radiance that a matt surface sends back of what shines, by one ray."""
+def _from_above(bvh, around, stack, p, n, albedo, offset_m, reach_m, u, v, pick):
+    """Radiance that a matt surface sends back of what shines, by one ray: by the cosine, or every second one aimed there."""
+    shines, share = around.shines, ZERO
+    if has_aim(shines):
+        pick, share = pick * f32(2), HALF
+        if pick < ONE:
+            way, d, aimed, given = aim_at(shines, p, around.blurred_sky, reach_m, u, v, pick)
+            cosine = dot(n, d)
+            if not aimed > ZERO or not cosine > ZERO:
+                return Vec3(ZERO, ZERO, ZERO)
+            start = begun(lifted(p, n, offset_m), d, offset_m)
+            weight = cosine * INV_PI / (HALF * (aimed + cosine * INV_PI))
+            weight *= visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO))
+            return Vec3(weight * given.x * albedo.x, weight * given.y * albedo.y, weight * given.z * albedo.z)
     tangent, bitangent = tangent_frame(n)
     d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
-    given = _shines(bvh, around, stack, p, n, d, around.blurred_sky, offset_m, reach_m)
+    t, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
+    given, aimed = _shining(bvh, around, slot, d, t, around.blurred_sky)
+    if share > ZERO:
+        cosine = dot(n, d) * INV_PI
+        albedo = scaled(albedo, cosine / (HALF * (aimed + cosine)))
     return Vec3(given.x * albedo.x, given.y * albedo.y, given.z * albedo.z)
 
 
@@ -168,7 +201,9 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                 if around.lights_up:
                     u, v = r2_sequence(look, uniform(q, 14, seed), uniform(q, 15, seed))
                     if share < ONE:
-                        matt = add(matt, _from_above(bvh, around, stack, p, n, albedo, rules.offset_m, rules.reach_m, u, v))
+                        pick = (uniform(q, 17, seed) + f32(look)) / f32(lookups)
+                        matt = add(matt, _from_above(bvh, around, stack, p, n, albedo, rules.offset_m, rules.reach_m, u, v,
+                                                     pick))
                     pick = (uniform(q, 16, seed) + f32(look)) / f32(lookups)
                     glossy = add(glossy, _from_lobe(bvh, around, stack, p, n, to_ray, specular, roughness, f0, gloss.albedos,
                                                     rules.offset_m, rules.reach_m, u, v, pick))
@@ -178,7 +213,41 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                 light[c] = share * light[c] + given
                 light[3 + c] = share * light[3 + c] + (ONE - share) * around.emission[source, c]
         known = rays.share[r]
+        if rays.density[r] > ZERO:
+            _, aimed = _shining(bvh, around, slot, d, rays.length_m[r] + t, around.blurred_sky)
+            for c in range(3, 6):
+                light[c] *= rays.density[r] / (rays.density[r] + aimed)
         for c in range(6):
             rays.light[r, c] = known * rays.light[r, c] + (ONE - known) * light[c]
         if known == ZERO:
             rays.length_m[r] = t if slot < 0 else rays.length_m[r] + t
+
+
+@pixel_jit
+def aim_lobes(begin, end, index, samples, screen, planes, gloss, bvh, around, rules, seed, rays):
+    """Aim one ray for each of `samples` of the pixels of `index` (M,) at what shines; into `rays.aimed`."""
+    screen, gloss, bvh, around, rules, rays = borrowed((screen, gloss, bvh, around, rules, rays))
+    width, stack = screen.depth.shape[1], scratch(STACK, np.int32)
+    for m in range(begin, end):
+        i, j = index[m] // width, index[m] % width
+        lobe = lobe_at(screen, planes, gloss, i, j)
+        if lobe.alpha < AIMED_ALPHA:
+            continue
+        sky = around.blurred_sky if gloss.roughness[i, j] > BLURRED else around.sky
+        p = load_pixel(screen.position_ws, i, j)
+        origin = lifted(p, lobe.plane, rules.offset_m)
+        for k in range(samples):
+            q = index[m] * samples + k
+            way, d, aimed, given = aim_at(around.shines, p, sky, rules.reach_m, uniform(q, 18, seed), uniform(q, 19, seed),
+                                          uniform(q, 20, seed))
+            if not aimed > ZERO or not min(dot(d, lobe.plane), dot(d, lobe.normal)) > ZERO:
+                continue
+            gives = lobe.gain * ggx_lobe(lobe.normal, lobe.viewer, d, lobe.alpha * lobe.alpha, lobe.f0)
+            gives /= aimed + lobe_density(lobe.normal, lobe.viewer, d, lobe.alpha)
+            chance = min(gives / RARE, ONE)
+            if not uniform(q, 21, seed) < chance:
+                continue
+            start = begun(origin, d, rules.offset_m)
+            gives *= visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO)) / chance
+            r = m * samples + k
+            rays.aimed[r, 0], rays.aimed[r, 1], rays.aimed[r, 2] = scaled(given, gives)

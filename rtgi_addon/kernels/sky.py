@@ -25,7 +25,7 @@ def sky_texel(d, height, width):
 
 
 @device_jit
-def _sky_direction(row, column, u, v, height, width):
+def sky_direction(row, column, u, v, height, width):
     """Unit direction in texel (row, column), even over its solid angle."""
     top, _ = on_circle(f32(0.5) * f32(row) / f32(height))
     bottom, _ = on_circle(f32(0.5) * f32(row + 1) / f32(height))
@@ -66,7 +66,7 @@ def _gather_sky(begin, end, position, normal, places, radiance, cdf, density, bv
             u, v = r2_sequence(j, shift_u, shift_v)
             if j < by_map:
                 k = find_first(cdf, (f32(j) + shift_w) / f32(by_map))
-                d = _sky_direction(k // width, k % width, u, v, height, width)
+                d = sky_direction(k // width, k % width, u, v, height, width)
             else:
                 d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
             cosine = dot(d, n)

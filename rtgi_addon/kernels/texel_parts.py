@@ -96,7 +96,7 @@ def _find_faces(begin, end, depth, position, is_lit, projection, world_from_view
 
 @inline_jit
 def _shading_normal(normal, faces, i, j, face):
-    """That of a part on a triangle of normal `face`: tilted off it as that of texel (i, j), of the same surface, off its own."""
+    """That of a part on a triangle of normal `face`: tilted as that of texel (i, j), of the same surface, off its own."""
     tilt = sub(load_pixel(normal, i, j), load_pixel(faces, i, j))
     return normalized_or(add(face, tilt), face)
 

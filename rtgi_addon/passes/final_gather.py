@@ -69,7 +69,7 @@ def compute_final_gather(frame: Frame, params: FinalGatherParams, context: Conte
     nothing = np.zeros(g.shape, np.float32)
     matt = np.ones_like(g.roughness)
     gloss = Gloss(leaving, black, nothing, black, matt, nothing, albedo_table(frame.keeps_energy))
-    rules = Rules(0, 1.0, True, True, f32(0), f32(frame.ray_offset_m), f32(reach_m))
+    rules = Rules(0, 1.0, True, True, False, f32(0), f32(frame.ray_offset_m), f32(reach_m))
     lights = pack_lights((), reach_m)
 
     def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:

@@ -40,6 +40,21 @@ def texel_directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(direction, -1), solid_angle
 
 
+def sky_distribution(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(cdf (H W,) float64, density (H, W) float32 1/sr) that draw a map's directions in proportion to brightness."""
+    height, width = radiance.shape[:2]
+    latitude = np.pi / 2 - np.pi * np.arange(height + 1) / height
+    solid_angle = ((np.sin(latitude[:-1]) - np.sin(latitude[1:])) * 2 * np.pi / width)[:, None] * np.ones((1, width))
+    brightness = radiance.sum(-1, dtype=np.float64)
+    mass = brightness * solid_angle
+    total = mass.sum()
+    if not total > 0:
+        return np.linspace(0, 1, height * width + 1)[1:], np.zeros((height, width), np.float32)
+    cdf = np.cumsum(mass.ravel()) / total
+    cdf[-1] = 1.0
+    return cdf, (brightness / total).astype(np.float32)
+
+
 def irradiance_table(world: World) -> np.ndarray:
     """(n, n, 3) float32 W/m2 that an open surface gets, by its normal, for `kernels.octahedron.look_up`.
 

@@ -30,8 +30,9 @@ from ..kernels.gloss_filter import blur_of_pixels, smooth_reflections, spread_re
 from ..kernels.gloss_pixels import LEAST_SUM, colour_pixels, on_lattice, sort_pixels
 from ..kernels.lit_hits import Gloss
 from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Rules, collect_rays, draw_rays, follow_rays, make_rays
-from ..kernels.scene_light import ask_scene
+from ..kernels.scene_light import aim_lobes, ask_scene
 from ..kernels.screen import Screen
+from ..kernels.shines import has_aim
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .screen import MIRROR_ROUGHNESS, screen_of
@@ -166,13 +167,14 @@ class _Tracer:
         fade_px = params.edge_fade * min(g.shape)
         self.results = np.zeros((*g.shape, NEARNESS + 1), np.float32)
         self.counts = {"rays": 0, "steps": 0, "hits": 0, "asked": 0, "traced_pixels": 0}
+        self._around = surroundings_of(frame, geometry)
         self._params, self._context, self._seed, self._is_left_open = params, context, seed, fallback == "CONES"
         self._is_bright = is_bright
-        self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays,
-                            has_rays, f32(fade_px), f32(frame.ray_offset_m), f32(reach_m))
+        aims = has_aim(self._around.shines) and not self._looks_at_picture
+        self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays, has_rays, aims,
+                            f32(fade_px), f32(frame.ray_offset_m), f32(reach_m))
         self.screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
         self._lights = pack_lights(frame.lights, reach_m)
-        self._around = surroundings_of(frame, geometry)
 
     def trace(self, step: np.ndarray, wanted: np.ndarray) -> None:
         """Reflect the `wanted` pixels (H, W) bool with the rays that a pixel of their step and brightness takes."""
@@ -197,6 +199,9 @@ class _Tracer:
             asked = np.flatnonzero(rays.answer != KNOWN)
             ask_scene(len(asked), asked, index, samples, self.screen, self._pyramid.planes, self._gloss, self._lights,
                       self._bvh, self._around, self._rules, self._seed, rays)
+        if self._rules.aims:
+            aim_lobes(len(index), index, samples, self.screen, self._pyramid.planes, self._gloss, self._bvh, self._around,
+                      self._rules, self._seed, rays)
         collect_rays(len(index), index, samples, rays, self._is_left_open, self._rules.offset_m, self.results)
         for name, number in (("rays", len(rays.answer)), ("steps", int(rays.steps.sum())),
                              ("hits", np.count_nonzero(rays.share)), ("asked", np.count_nonzero(rays.answer == ASK)),

@@ -11,10 +11,12 @@ from ..kernels.brdf import GAIN_STEPS, albedo_table
 from ..kernels.bvh import Bvh
 from ..kernels.lit_hits import Lights
 from ..kernels.scene_light import Surroundings
+from ..kernels.shines import Shines
 from .base import Context, Transport
 from .direct import pack_lamp
-from .sky_light import shrink_map
+from .sky_light import shrink_map, sky_distribution
 
+PEAK = 32                   # times the mean radiance from which a part of the world is aimed at
 MAX_SKY = (512, 1024)       # a mirror shows the world at the resolution of its map, up to this
 
 
@@ -58,7 +60,28 @@ def surroundings_of(frame: Frame, geometry: Geometry) -> Surroundings:
         albedo = np.minimum(albedo / geometry.coverage(np.arange(len(geometry)))[:, None, None], 1)
     return Surroundings(
         np.ascontiguousarray(albedo, np.float32), np.ascontiguousarray(geometry.emission, np.float32), material,
-        substance_table(frame.materials or (Material("none"),)), sky, blurred, bool(sky.any() or geometry.emission.any()))
+        substance_table(frame.materials or (Material("none"),)), sky, blurred, bool(sky.any() or geometry.emission.any()),
+        shines_of(geometry, blurred))
+
+
+def shines_of(geometry: Geometry, sky: np.ndarray) -> Shines:
+    """What rays may be aimed at: the emissive triangles, and the world `sky` (h, w, 3) if it has small bright parts."""
+    index = np.flatnonzero(geometry.emission.any(1))
+    corners, radiance = geometry.corners_ws[index].astype(np.float32), geometry.emission[index].astype(np.float32)
+    edges = corners[:, 1:].astype(np.float64) - corners[:, :1]
+    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    power = np.nan_to_num(radiance.mean(1, dtype=np.float64) * area, nan=0.0, posinf=0.0)
+    total = float(power.sum())
+    if not total > 0:
+        corners, radiance, power = corners[:0], radiance[:0], power[:0]
+    sky_cdf, sky_density = np.zeros(0), np.zeros((0, 0), np.float32)
+    if sky.any():
+        cdf, density = sky_distribution(sky)
+        if float(density.max()) * 4 * math.pi > PEAK:
+            sky_cdf, sky_density = cdf, density
+    sky_share = 0.0 if not len(sky_cdf) else (0.5 if total > 0 else 1.0)
+    return Shines(np.cumsum(power) / max(total, 1e-300), np.ascontiguousarray(corners), np.ascontiguousarray(radiance),
+                  np.float32(1 / total if total > 0 else 0), sky_cdf, sky_density, np.float32(sky_share))
 
 
 def pack_lights(lights: tuple[Light, ...], far_m: float) -> Lights:

@@ -11,24 +11,9 @@ from ..kernels.sky import gather_sky
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_on_lattice
-from .sky_light import open_irradiance, shrink_map
+from .sky_light import open_irradiance, shrink_map, sky_distribution
 
 MAP_SHARE = 0.5             # share of the rays drawn by the map's brightness, when it is not constant
-
-
-def sky_distribution(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(cdf (H W,) float64, density (H, W) float32 1/sr) that draw a map's directions in proportion to brightness."""
-    height, width = radiance.shape[:2]
-    latitude = np.pi / 2 - np.pi * np.arange(height + 1) / height
-    solid_angle = ((np.sin(latitude[:-1]) - np.sin(latitude[1:])) * 2 * np.pi / width)[:, None] * np.ones((1, width))
-    brightness = radiance.sum(-1, dtype=np.float64)
-    mass = brightness * solid_angle
-    total = mass.sum()
-    if not total > 0:
-        return np.linspace(0, 1, height * width + 1)[1:], np.zeros((height, width), np.float32)
-    cdf = np.cumsum(mass.ravel()) / total
-    cdf[-1] = 1.0
-    return cdf, (brightness / total).astype(np.float32)
 
 
 def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int = 0) -> PassResult:
