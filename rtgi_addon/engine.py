@@ -10,6 +10,7 @@ import numpy as np
 
 from .capture import geometry as capture_geometry
 from .capture import materials as capture_materials
+from .capture import suns as capture_suns
 from .capture import world as capture_world
 from .capture.kept_views import KeptViews
 from .capture.lights import lights_out, read_lights
@@ -249,8 +250,11 @@ class RTGIEngine(bpy.types.RenderEngine):
             camera = main_camera(self.camera_override, self._window, (width, height), self._origin_ws)
             gbuffer = views.to_gbuffer(self._raw, camera)
         context.checkpoint()
+        with stages("world"):
+            world, suns = self._capture_world(views, width, height)
+            self._lights += suns
         materials = self._materials.materials
-        frame = Frame(camera, gbuffer, self._lights, (), geometry, materials, World(), self._origin_ws, self._warnings)
+        frame = Frame(camera, gbuffer, self._lights, (), geometry, materials, world, self._origin_ws, self._warnings)
         low, high = geometry.bounds_ws
         facts = planner.SceneFacts(self._lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission)
         plan = planner.plan_capture(facts, settings, (low + high) / 2, float(np.linalg.norm(high - low)) / 2)
@@ -280,17 +284,20 @@ class RTGIEngine(bpy.types.RenderEngine):
                 if _keeps_views:
                     self._kept.put(light, light_camera, near_m, seen)
                 captured.append(light_views.view_of(i, light, light_camera, seen))
-        with stages("world"):
-            world = self._capture_world(views, width, height)
         return Frame(camera, gbuffer, self._lights, tuple(captured), geometry, materials, world, self._origin_ws,
                      self._warnings), plan
 
     def _capture_world(self, views, width, height):
+        """(the world without its suns, these as lamps)."""
         if self._world.kind == "constant":
-            return World(np.asarray(self._world.radiance, np.float32).reshape(1, 1, 3))
+            return World(np.asarray(self._world.radiance, np.float32).reshape(1, 1, 3)), ()
         if self._world.kind == "black":
-            return World()
-        return World(views.environment(full_sphere(*views.format_of_views(width * height).panorama_px, world_axes())))
+            return World(), ()
+        world = views.depsgraph.scene_eval.world
+        radiance = views.environment(full_sphere(*views.format_of_views(width * height).panorama_px, world_axes()))
+        radiance, suns = capture_suns.part_suns(radiance, views.environment, views.format_of_views(capture_suns.CLOSE_PX**2),
+                                                f"sun of {world.name_full}", capture_suns.sky_suns(world))
+        return World(radiance), suns
 
     def _write(self, depsgraph, frame, result):
         """Combined, our passes and every pass that the user asked for into the render result."""

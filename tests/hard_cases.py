@@ -17,7 +17,7 @@ import numpy as np
 
 from rtgi_addon.core.frame import Frame, Geometry, Light, LightKind, LightView, Material, World
 from rtgi_addon.core.params import Params
-from rtgi_addon.core.radiometry import texel_flux
+from rtgi_addon.core.radiometry import texel_directions, texel_flux
 from rtgi_addon.core.synthetic import ROOM_HIGH, ROOM_LOW, box_triangles, cast_view, light_camera, make_room_frame
 from rtgi_addon.core.techniques import EmissionParams, LpvParams, RsmParams
 from rtgi_addon.core.transforms import Camera, Projection
@@ -26,7 +26,6 @@ from rtgi_addon.kernels.bvh import build_bvh
 from rtgi_addon.kernels.jit import kernel_session
 from rtgi_addon.passes import TECHNIQUES
 from rtgi_addon.passes.base import Transport
-from rtgi_addon.passes.sky_light import texel_directions
 from tests.hard_frames import CHEAP, lamp_at, powered, room, run, run_as_it_is, seen
 from tests.lpv_scenes import NOTHING, cube, harmonic_source, lit_grid, rectangle, texels
 from tests.moved_frames import moved, turn

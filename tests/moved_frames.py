@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from rtgi_addon.core.frame import Frame, GBuffer, Light, LightKind, LightView, World
+from rtgi_addon.core.radiometry import texel_directions
 from rtgi_addon.core.transforms import Camera, Projection
-from rtgi_addon.passes.sky_light import texel_directions
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -68,6 +68,17 @@ def spread_factor(cos_angle: np.ndarray, spread_rad: float) -> np.ndarray:
     return np.maximum(math.tan(half) - tan_angle, 0) / (math.tan(half) - half)
 
 
+def texel_directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions (H, W, 3) and solid angles (H, W) sr of an equirectangular map's texels, float64, in world axes."""
+    edge = np.pi / 2 - np.pi * np.arange(height + 1) / height
+    latitude = (np.pi / 2 - np.pi * (np.arange(height) + 0.5) / height)[:, None]
+    longitude = -np.pi + 2 * np.pi * (np.arange(width) + 0.5) / width
+    solid_angle = np.repeat((np.sin(edge[:-1]) - np.sin(edge[1:]))[:, None] * 2 * np.pi / width, width, 1)
+    direction = [np.cos(latitude) * np.sin(longitude), np.cos(latitude) * np.cos(longitude),
+                 np.repeat(np.sin(latitude), width, 1)]
+    return np.stack(direction, -1), solid_angle
+
+
 def texel_solid_angle(camera: Camera) -> np.ndarray:
     """(H, W) float64 sr that each texel of a perspective or equirectangular view covers.
 

@@ -73,8 +73,8 @@ def fill_texels(begin, end, table, first, reflects, position, normal, face, albe
     """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row.
 
     A surface of shading normal `normal` (H, W, 3) is lit as that says, over the area that its triangle, of normal `face`,
-    turns to the lamp, and sends from there. Lobes of an alpha below `sharpest` are left out. `radius` (N,) gets the radius in
-    m of the disk that has the texel's area on the surface; `across` (H, W) is the texel's solid angle, or its area in m2
+    turns to the lamp, and sends from there. Lobes of an alpha below `sharpest` are left out. `radius` (N,) gets the radius
+    in m of the disk that has the texel's area on the surface; `across` (H, W) is the texel's solid angle, or its area in m2
     where the lamp is a sun.
     """
     height, width = roughness.shape

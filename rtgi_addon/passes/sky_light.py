@@ -7,6 +7,7 @@ import functools
 import numpy as np
 
 from ..core.frame import World
+from ..core.radiometry import texel_directions
 from ..kernels.octahedron import look_up, node_directions, table_of
 from ..kernels.sky import mean_parts
 
@@ -27,17 +28,6 @@ def shrink_map(radiance: np.ndarray, size: tuple[int, int] = MAP_SIZE) -> np.nda
     # part k begins at the first index i with i * parts // number == k
     first_row, first_column = -(-np.arange(rows + 1) * height // rows), -(-np.arange(columns + 1) * width // columns)
     return mean_parts(radiance, weight, first_row, first_column)
-
-
-def texel_directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions (H, W, 3) and solid angles (H, W) sr of an equirectangular map's texels, float64, in world axes."""
-    edge = np.pi / 2 - np.pi * np.arange(height + 1) / height
-    latitude = (np.pi / 2 - np.pi * (np.arange(height) + 0.5) / height)[:, None]
-    longitude = -np.pi + 2 * np.pi * (np.arange(width) + 0.5) / width
-    solid_angle = np.repeat((np.sin(edge[:-1]) - np.sin(edge[1:]))[:, None] * 2 * np.pi / width, width, 1)
-    direction = [np.cos(latitude) * np.sin(longitude), np.cos(latitude) * np.cos(longitude),
-                 np.repeat(np.sin(latitude), width, 1)]
-    return np.stack(direction, -1), solid_angle
 
 
 def sky_distribution(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

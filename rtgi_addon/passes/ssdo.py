@@ -35,6 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core.frame import Frame, World
+from ..core.radiometry import texel_directions
 from ..core.techniques import SsdoParams
 from ..kernels.octahedron import node_directions, table_of
 from ..kernels.planes import smooth_planes, spread_planes
@@ -43,7 +44,7 @@ from ..kernels.ssdo import LANES, gather_samples, gather_sectors, sent_out, tap_
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .screen import coarse_screen, screen_of
-from .sky_light import irradiance_table, shrink_map, texel_directions
+from .sky_light import irradiance_table, shrink_map
 
 RADIUS_SHARE = 0.2          # of the scene's size, for a radius of 0: half of the bounce in view of four scenes is nearer
 BLUR_TOLERANCE_PX = 0.6     # height over a tangent plane at which a neighbour stops to count, in footprints of a pixel

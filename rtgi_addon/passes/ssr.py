@@ -171,8 +171,8 @@ class _Tracer:
         self._params, self._context, self._seed, self._is_left_open = params, context, seed, fallback == "CONES"
         self._is_bright = is_bright
         aims = has_aim(self._around.shines) and not self._looks_at_picture
-        self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays, has_rays, aims,
-                            f32(fade_px), f32(frame.ray_offset_m), f32(reach_m))
+        self._rules = Rules(min(_TOP[params.method], len(pyramid.first) - 1), float(params.step_px), has_rays, has_rays,
+                            aims, f32(fade_px), f32(frame.ray_offset_m), f32(reach_m))
         self.screen, self._pyramid, self._gloss, self._bvh = screen, pyramid, gloss, bvh
         self._lights = pack_lights(frame.lights, reach_m)
 
