@@ -17,7 +17,7 @@ import numpy as np
 from ..core.frame import Cutouts
 from .images import ImageCache
 from .materials import SurfaceReader
-from .nodes import SHADOW_PATH, Points
+from .nodes import SHADOW_PATH, Points, spread_evenly
 
 _MOST_PX = 512              # longest edge of a map: a quarter of a megabyte
 _PLAIN_PX = 256             # edge where no image tells how fine it has to be
@@ -54,6 +54,9 @@ class _Grid:
     def attribute(self, name: str) -> np.ndarray | None:
         return None
 
+    def spread(self, number: int) -> np.ndarray | None:
+        return None
+
     def image(self, values: np.ndarray) -> np.ndarray:
         """(height, width) of values (n,) at the points, n = 1 for an even one."""
         height, width = self.shape
@@ -86,6 +89,9 @@ class _Probe:
 
     def attribute(self, name: str) -> np.ndarray | None:
         return self._of(("attribute", name))
+
+    def spread(self, number: int) -> np.ndarray | None:
+        return np.repeat(spread_evenly(_PROBES, number), 3, axis=0)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from ..core.frame import Geometry
 from .cutouts import CutoutBuilder, MeshCutouts, Opacity, join_cutouts, read_opacity, shadow_trace
 from .images import ImageCache
 from .materials import SURFACE_TYPES, MaterialCache, MaterialTable, SurfaceReader
+from .nodes import spread_evenly
 
 _KINDS = {"FLOAT": ("value", 1), "INT": ("value", 1), "BOOLEAN": ("value", 1), "FLOAT_VECTOR": ("vector", 3),
           "FLOAT2": ("vector", 2), "FLOAT_COLOR": ("color", 4), "BYTE_COLOR": ("color", 4)}
@@ -229,6 +230,12 @@ class _Mesh:
 
     def attribute(self, name: str) -> np.ndarray | None:
         return self._inside("attribute", name)
+
+    def spread(self, number: int) -> np.ndarray | None:
+        # where thresholds do not tell them apart means give the mean, without noise
+        if self.points is _PLAIN[0]:
+            return None
+        return spread_evenly((len(self) if self.chosen is None else len(self.chosen)) * len(self.points), number)
 
 
 def _by_triangle(values: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:

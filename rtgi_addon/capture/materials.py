@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core.frame import Material
 from .images import ImageCache
-from .nodes import BOUNCED_PATH, NodeReader, Points, node_tree, normal_reflectance
+from .nodes import BOUNCED_PATH, NodeReader, Points, node_tree, normal_reflectance, spread_evenly
 
 _GLOSSY_NODES = ("BSDF_PRINCIPLED", "BSDF_GLOSSY", "BSDF_ANISOTROPIC")
 SURFACE_TYPES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
@@ -352,6 +352,9 @@ class _UnitSquare:
     def attribute(self, name: str) -> np.ndarray | None:
         return None
 
+    def spread(self, number: int) -> np.ndarray | None:
+        return spread_evenly(len(self._uv), number)
+
 
 class MaterialCache:
     """What stays between frames: the images' pyramids and, for each trace, the material that it gave."""
@@ -378,7 +381,7 @@ def read_materials(depsgraph: bpy.types.Depsgraph, cache: MaterialCache | None =
         trace = tuple(reader.values.trace)
         found = cache.materials.get((name, trace))
         if found is None:
-            if any(kind == "uv" for kind, _ in reader.values.needs):
+            if reader.values.has_patterns or any(kind == "uv" for kind, _ in reader.values.needs):
                 surface = SurfaceReader(cache.images, _UnitSquare()).material(material)
             found = _to_material(name, surface)
         found = dataclasses.replace(found, keeps_energy=_keeps_energy(material))

@@ -7,6 +7,7 @@ most scenes; what it does not know gives the value typed into the socket that th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -18,8 +19,19 @@ from .images import ImageCache
 # share of each channel in a colour's grey: Rec.709, Blender's default working space
 _LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
-# the mean of procedural textures whose pattern is not computed: they all spread around the middle of [0, 1]
-_HALF_GREY = {"TEX_NOISE", "TEX_WAVE", "TEX_GRADIENT", "TEX_MAGIC", "TEX_WHITE_NOISE", "TEX_GABOR", "TEX_VORONOI"}
+
+def _bell(width: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Quantiles of a logistic distribution around 1/2, as sums of octaves have nearly; `width` is the standard deviation."""
+    return lambda u: np.clip(0.5 + width * math.sqrt(3) / math.pi * np.log(u / (1 - u)), 0, 1)
+
+
+# procedural textures whose pattern is not computed: the share u of a surface is below this value; their mean is near 1/2
+_PATTERNS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "TEX_NOISE": _bell(0.08), "TEX_GABOR": _bell(0.1), "TEX_MAGIC": _bell(0.17),
+    "TEX_WAVE": lambda u: 0.5 - 0.5 * np.cos(math.pi * u),                  # a sine
+    "TEX_GRADIENT": lambda u: u, "TEX_WHITE_NOISE": lambda u: u,
+    "TEX_VORONOI": lambda u: np.cbrt(-0.2 * np.log1p(-u)),          # distance to the nearest of scattered points
+}
 
 # how a surface acts on the light that bounces, which is what rays and voxels ask for; and what stops light on its way
 BOUNCED_PATH = {"Is Diffuse Ray": 1.0, "Is Reflection Ray": 1.0, "Ray Depth": 1.0, "Diffuse Depth": 1.0}
@@ -34,6 +46,15 @@ class Points(Protocol):
 
     def attribute(self, name: str) -> np.ndarray | None:
         """(N, 4) float32 RGBA of a named attribute, "" for the colour that renders; None where the mesh has none."""
+
+    def spread(self, number: int) -> np.ndarray | None:
+        """(N, 1) numbers spread evenly over (0, 1) in an order of their own for each `number`: what stands for the places
+        of a pattern. None where its mean has to do."""
+
+
+def spread_evenly(count: int, number: int) -> np.ndarray:
+    """(count, 1) float64 middles of even parts of (0, 1), in another order for each `number`: see `Points.spread`."""
+    return ((np.random.default_rng(number).permutation(count) + 0.5) / count)[:, None]
 
 
 def node_tree(datablock: bpy.types.ID) -> bpy.types.NodeTree | None:
@@ -139,6 +160,8 @@ class NodeReader:
         False once a texture, an attribute or an unknown node was met.
     is_stepped : bool
         True once a node was met whose mean is not its value at the mean input: thresholds and ramps.
+    has_patterns : bool
+        True once a procedural texture was met, of which values are known but not where.
     found : set of str
         Node types met, for warnings.
     image_px : (int, int)
@@ -150,7 +173,8 @@ class NodeReader:
         self.trace: list[Any] = []
         self.needs: set[tuple[str, str]] = set()
         self.is_constant = True
-        self.is_stepped = False
+        self.is_stepped = self.has_patterns = False
+        self._patterns = 0
         self.found: set[str] = set()
         self.image_px = (0, 0)
         self._groups: list[bpy.types.Node] = []
@@ -255,10 +279,18 @@ class NodeReader:
         read = getattr(self, "node_" + node.type.lower(), None)
         if read is not None:
             return read(node, output)
-        if node.type in _HALF_GREY:
-            self.is_constant = False
-            return np.full((1, 1), 0.5, np.float32)
+        if node.type in _PATTERNS:
+            is_coloured = output.type == "RGBA" and node.type in {"TEX_NOISE", "TEX_VORONOI", "TEX_WHITE_NOISE", "TEX_MAGIC"}
+            return self._pattern(_PATTERNS["TEX_WHITE_NOISE" if is_coloured and node.type == "TEX_VORONOI" else node.type],
+                                 3 if is_coloured else 1)
         return None
+
+    def _pattern(self, quantiles: Callable[[np.ndarray], np.ndarray], channels: int = 1) -> np.ndarray:
+        """(n, channels) values of a pattern that has these quantiles; their median without points to spread them over."""
+        self.is_constant, self.has_patterns = False, True
+        self._patterns += channels
+        spread = [None if self.points is None else self.points.spread(self._patterns - k) for k in range(channels)]
+        return np.concatenate([quantiles(np.full((1, 1), 0.5) if u is None else u) for u in spread], 1).astype(np.float32)
 
     def node_rgb(self, node, output):
         return self._typed_in(output)
@@ -485,17 +517,26 @@ class NodeReader:
         return to_low + t * (to_high - to_low)
 
     def node_tex_checker(self, node, output):
-        self.is_constant = False
+        second = self._share(0.5)
         if output.identifier == "Fac":
-            return np.full((1, 1), 0.5, np.float32)
-        return (self.colour(node, "Color1") + self.colour(node, "Color2")) / 2
+            return second
+        return self.colour(node, "Color1") * second + self.colour(node, "Color2") * (1 - second)
+
+    def _share(self, share: float) -> np.ndarray:
+        """(n, 1) of a pattern that is 1 on a share of the surface and 0 elsewhere; the share without points."""
+        is_there = self._pattern(lambda u: (u > 1 - share).astype(np.float32))
+        return is_there if len(is_there) > 1 else np.full((1, 1), share, np.float32)
 
     def node_tex_brick(self, node, output):
-        self.is_constant = False
+        mortar, width, height = (max(float(self.scalar(node, name).mean()), 1e-6)
+                                 for name in ("Mortar Size", "Brick Width", "Row Height"))
+        bare = (1 - min(2 * mortar / width, 1)) * (1 - min(2 * mortar / height, 1))
+        between = self._share(1 - bare)
         if output.identifier == "Fac":
-            return np.full((1, 1), 0.1, np.float32)
-        # the mortar is a narrow line between the bricks
-        return (self.colour(node, "Color1") + self.colour(node, "Color2")) * 0.45 + self.colour(node, "Mortar") * 0.1
+            return between
+        second = self._share(0.5)
+        bricks = self.colour(node, "Color1") * (1 - second) + self.colour(node, "Color2") * second
+        return bricks * (1 - between) + self.colour(node, "Mortar") * between
 
     def node_fresnel(self, node, output):
         self.is_constant = False
