@@ -103,9 +103,9 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
     spread_reflections(len(traced), smooth, blur, *surface, step, traced, weak)
     if weak.any():
         tracer.trace(np.where(weak, WEAK_STEP, 0), weak)
-        step = np.where(weak, 1, step)
-        blur = blur_of_pixels(tracer.results, *surface, step, weak, f32(FILTER_REACH))
-        smooth[weak] = smooth_reflections(tracer.results, blur, weak, *surface, step, weak, FILTER_RADIUS)[weak]
+        step, traced = np.where(weak, 1, step), traced | weak
+        blur = blur_of_pixels(tracer.results, *surface, step, traced, f32(FILTER_REACH))
+        smooth[weak] = smooth_reflections(tracer.results, blur, weak, *surface, step, traced, FILTER_RADIUS)[weak]
     weak_share = float(np.count_nonzero(weak) / np.count_nonzero(step))
     diagnostics = tracer.diagnostics | {"weak_share": weak_share}
     return _coloured(frame, smooth, step, tracer.screen, fallback == "CONES", context, diagnostics)
