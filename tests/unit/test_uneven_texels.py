@@ -1,4 +1,4 @@
-"""Texels that hold more than one surface: they are found, and their parts are what the lamp sees through them."""
+"""What texels of a lamp's view show: triangles under smooth shading, and parts of texels that hold more than one surface."""
 
 from __future__ import annotations
 
@@ -12,28 +12,33 @@ from rtgi_addon.core.radiometry import texel_solid_angle
 from rtgi_addon.core.synthetic import cast_view, make_room_frame
 from rtgi_addon.core.techniques import RsmParams
 from rtgi_addon.kernels.bvh import build_bvh
-from rtgi_addon.kernels.clusters import DIFFUSE
+from rtgi_addon.kernels.clusters import DIFFUSE, NORMAL, POSITION
 from rtgi_addon.kernels.texel_parts import PARTS
 from rtgi_addon.passes import rsm
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.rsm import compute_rsm, texels_and_radii
-from rtgi_addon.passes.uneven_texels import split_uneven
+from rtgi_addon.passes.uneven_texels import look_through
 
 KINDS = [LightKind.SPOT, LightKind.POINT, LightKind.SUN]
 CLOSE = 8                   # parts of a texel's edge by which it is looked at closely
 
 
-def _split(kind, is_lit=True):
-    """(frame, view, the three results of `split_uneven`) of a room seen by a lamp in 24 texels."""
-    frame = make_room_frame(8, 24, (kind,))
+def _look(frame, is_lit=True):
     view = frame.views[0]
     g, camera = view.gbuffer, view.camera
-    if kind is LightKind.SUN:
+    if frame.lights[0].kind is LightKind.SUN:
         size = np.full(g.shape, np.sqrt(np.prod(camera.pixel_size)))
     else:
         size = np.sqrt(texel_solid_angle(camera)) * np.linalg.norm(g.position_ws - camera.position_ws, axis=-1)
     bvh = build_bvh(frame.geometry.corners_ws)
-    return frame, view, *split_uneven(view, g.mask & is_lit, size.astype(np.float32), bvh, 100.0)
+    return look_through(view, g.mask & is_lit, size.astype(np.float32), bvh, 100.0)
+
+
+def _split(kind, is_lit=True):
+    """(frame, view, texels that are split, surfaces of their parts, texel of each) of a room seen by a lamp in 24 texels."""
+    frame = make_room_frame(8, 24, (kind,))
+    found = _look(frame, is_lit)
+    return frame, frame.views[0], found.is_split, found.parts, found.whole
 
 
 def _finer(view, frame, times):
@@ -105,3 +110,54 @@ def test_the_bounce_of_a_coarse_view_comes_nearer_to_that_of_a_fine_one(monkeypa
     monkeypatch.setattr(rsm, "texels_and_radii", lambda *args: texels_and_radii(*args[:4]))
     whole = bounce(16)
     assert np.abs(split - fine).sum() < 0.9 * np.abs(whole - fine).sum()
+
+
+def _smooth(frame, tilt):
+    """The frame with the shading normals of its lamp's view tilted by `tilt` (3,) before they are unit vectors again."""
+    view = frame.views[0]
+    normal = view.gbuffer.normal_ws + np.float32(tilt)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    view = dataclasses.replace(view, gbuffer=dataclasses.replace(view.gbuffer, normal_ws=normal.astype(np.float32)))
+    return dataclasses.replace(frame, views=(view,))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_faces_are_those_of_the_triangles_however_normals_are_shaded(kind):
+    frame = make_room_frame(8, 24, (kind,))
+    flat = frame.views[0].gbuffer
+    found = _look(_smooth(frame, (0.1, 0.2, 0.3)))
+    # on an edge two triangles meet in one place
+    assert (np.abs(found.faces_ws - flat.normal_ws).max(-1)[flat.mask] < 1e-5).mean() > 0.98
+    there = found.parts.normal_ws[0] * 1.0
+    tilted = found.part_faces_ws[0] + np.float32([0.1, 0.2, 0.3])
+    tilted /= np.linalg.norm(tilted, axis=-1, keepdims=True)
+    # a part is tilted as its texel's neighbour; the tilts of unit vectors differ where faces do
+    assert ((there * tilted).sum(-1) > 0.97).mean() > 0.95
+
+
+def test_a_smooth_surface_is_lit_by_its_shading_normal_and_sends_from_its_triangle():
+    frame = make_room_frame(8, 24, (LightKind.SPOT,))
+    view = frame.views[0]
+    # a lobe takes more of the light at some angles than at others
+    matt = dataclasses.replace(view.gbuffer, specular=np.zeros_like(view.gbuffer.specular))
+    frame = dataclasses.replace(frame, views=(dataclasses.replace(view, gbuffer=matt),))
+    smooth = _smooth(frame, (0.0, 0.3, 0.2))
+    view, light, bvh = smooth.views[0], frame.lights[0], build_bvh(frame.geometry.corners_ws)
+    flat_table, table = (texels_and_radii(f, [view.incident_flux], False, 0.0, bvh)[0].T for f in (frame, smooth))
+    at = {tuple(row[POSITION:POSITION + 3]): row for row in flat_table}
+    whole = view.gbuffer.mask & ~_look(smooth).is_split & ~_look(frame).is_split
+    compared = 0
+    for place, shading, face in zip(view.gbuffer.position_ws[whole], view.gbuffer.normal_ws[whole],
+                                    frame.views[0].gbuffer.normal_ws[whole], strict=True):
+        to_light = light.position_ws - place
+        to_light /= np.linalg.norm(to_light)
+        shaded, faced = shading @ to_light, face @ to_light
+        if tuple(place) not in at or faced < 0.2 or not 0 < shaded < 3.5 * faced:
+            continue
+        row = table[(table[:, POSITION:POSITION + 3] == place).all(1)]
+        assert len(row) == 1
+        colour = slice(DIFFUSE, DIFFUSE + 3)
+        np.testing.assert_allclose(row[0, colour], at[tuple(place)][colour] * shaded / faced, rtol=1e-4)
+        np.testing.assert_allclose(row[0, NORMAL:NORMAL + 3], face, atol=1e-5)
+        compared += 1
+    assert compared > 100
