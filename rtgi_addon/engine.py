@@ -10,7 +10,6 @@ import numpy as np
 
 from .capture import geometry as capture_geometry
 from .capture import materials as capture_materials
-from .capture import suns as capture_suns
 from .capture import world as capture_world
 from .capture.kept_views import KeptViews
 from .capture.lights import lights_out, read_lights
@@ -18,6 +17,7 @@ from .capture.needs import read_needs
 from .capture.unsupported import unsupported_warnings
 from .capture.versions import pass_name
 from .capture.views import ViewCapture, full_sphere, main_camera, read_window, world_axes
+from .core import suns
 from .core.frame import Frame, World
 from .core.transforms import ViewFormat
 from .errors import Cancelled, InputError, RtgiError
@@ -251,8 +251,8 @@ class RTGIEngine(bpy.types.RenderEngine):
             gbuffer = views.to_gbuffer(self._raw, camera)
         context.checkpoint()
         with stages("world"):
-            world, suns = self._capture_world(views, width, height)
-            self._lights += suns
+            world, found = self._capture_world(views, width, height)
+            self._lights += found
         materials = self._materials.materials
         frame = Frame(camera, gbuffer, self._lights, (), geometry, materials, world, self._origin_ws, self._warnings)
         low, high = geometry.bounds_ws
@@ -295,9 +295,9 @@ class RTGIEngine(bpy.types.RenderEngine):
             return World(), ()
         world = views.depsgraph.scene_eval.world
         radiance = views.environment(full_sphere(*views.format_of_views(width * height).panorama_px, world_axes()))
-        radiance, suns = capture_suns.part_suns(radiance, views.environment, views.format_of_views(capture_suns.CLOSE_PX**2),
-                                                f"sun of {world.name_full}", capture_suns.sky_suns(world))
-        return World(radiance), suns
+        radiance, found = suns.part_suns(radiance, views.environment, views.format_of_views(suns.CLOSE_PX**2),
+                                         f"sun of {world.name_full}", capture_world.sky_suns(world))
+        return World(radiance), found
 
     def _write(self, depsgraph, frame, result):
         """Combined, our passes and every pass that the user asked for into the render result."""

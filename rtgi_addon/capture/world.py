@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -78,6 +79,21 @@ def read_world_constant(depsgraph: bpy.types.Depsgraph) -> WorldReading:
         return WorldReading("map", warnings=tuple(warnings))
     radiance = np.maximum(radiance[0], 0)
     return WorldReading("constant" if radiance.any() else "black", radiance, tuple(warnings))
+
+
+def sky_suns(world: bpy.types.World | None) -> list[tuple[np.ndarray, float]]:
+    """Where Sky Textures of a world show a sun's disc: unit vector, and angular diameter in rad. A map may miss it.
+
+    What a texture's input turns is left out.
+    """
+    tree = node_tree(world) if world is not None else None
+    if tree is None:
+        return []
+    return [(np.array([math.cos(node.sun_elevation) * math.sin(node.sun_rotation),
+                       math.cos(node.sun_elevation) * math.cos(node.sun_rotation), math.sin(node.sun_elevation)]),
+             node.sun_size)
+            for node in tree.nodes if node.type == "TEX_SKY" and getattr(node, "sun_disc", False)
+            and node.sky_type not in {"PREETHAM", "HOSEK_WILKIE"} and not any(socket.is_linked for socket in node.inputs)]
 
 
 def in_world_axes(radiance: np.ndarray, camera: Camera) -> np.ndarray:

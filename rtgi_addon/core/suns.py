@@ -11,13 +11,11 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import bpy
 import numpy as np
 
-from ..core.frame import Light, LightKind
-from ..core.radiometry import texel_directions, texel_solid_angle
-from ..core.transforms import Camera, Projection, ViewFormat
-from .nodes import node_tree
+from .frame import Light, LightKind
+from .radiometry import texel_directions, texel_solid_angle
+from .transforms import Camera, Projection, ViewFormat
 
 MOST_SUNS = 2
 PEAK = 30                   # times the mean radiance that a sun's brightest texel has at least
@@ -25,7 +23,8 @@ LEAST_SHARE = 0.03          # of the light of the whole world that a sun gives a
 WIDEST_RAD = math.radians(8)        # angular diameter from which a bright part is no sun
 CLOSE_RAD = math.radians(7)         # half the angle of the view that is taken of a sun: it shows the sky around it too
 CLOSE_PX = 160              # and its size: a twelfth of a degree, a sixth of the sun's diameter
-FILLS = 1.5                 # half the angle of a second view, over the radius that the first one shows
+SMALL = 0.15                # radius of a sun over half the angle of its view, below which a second view is taken
+FILLS = 1.5                 # and half the angle of that, over the radius that the first one shows
 FAINT = 0.01                # of the excess at the peak: less is the sky's own gradient
 
 Look = Callable[[Camera], np.ndarray]
@@ -86,14 +85,16 @@ def _sun_in(view: _View, around: np.ndarray, name: str) -> _Sun | None:
     return _Sun(lamp, around, math.asin(min(float(off[weight > 0].max()), 1.0)))
 
 
-def _sun_at(direction: np.ndarray, look: Look, form: ViewFormat, name: str) -> _Sun | None:
-    """The sun near a direction; None where nothing stands out."""
-    wide = _view_towards(direction, CLOSE_RAD, look, form)
+def _sun_at(direction: np.ndarray, half_angle_rad: float, look: Look, form: ViewFormat, name: str) -> _Sun | None:
+    """The sun within an angle of a direction; None where nothing stands out."""
+    wide = _view_towards(direction, half_angle_rad, look, form)
     sun = _sun_in(wide, np.median(wide.radiance[wide.is_rim], axis=0), name)
     if sun is None or sun.lamp.angle_rad > WIDEST_RAD:
         return None
-    # it covers few pixels of the wide view, and the edges of these count whole
-    half_angle_rad = min(FILLS * (sun.radius_rad + 2 * CLOSE_RAD / CLOSE_PX), CLOSE_RAD)
+    if sun.radius_rad > SMALL * half_angle_rad:
+        return sun
+    # it covers few pixels, and those at its edge count whole
+    half_angle_rad = min(FILLS * (sun.radius_rad + 2 * half_angle_rad / CLOSE_PX), half_angle_rad)
     return _sun_in(_view_towards(-sun.lamp.direction_ws, half_angle_rad, look, form), sun.around, name) or sun
 
 
@@ -112,33 +113,22 @@ def _take_sun(radiance: np.ndarray, direction: np.ndarray, solid_angle: np.ndarr
     return rest
 
 
-def sky_suns(world: bpy.types.World | None) -> list[np.ndarray]:
-    """Unit vectors to where Sky Textures of a world show a sun's disc, as far as nothing turns them: a map may miss it."""
-    tree = node_tree(world) if world is not None else None
-    if tree is None:
-        return []
-    return [np.array([math.cos(node.sun_elevation) * math.sin(node.sun_rotation),
-                      math.cos(node.sun_elevation) * math.cos(node.sun_rotation), math.sin(node.sun_elevation)])
-            for node in tree.nodes if node.type == "TEX_SKY" and getattr(node, "sun_disc", False)
-            and node.sky_type not in {"PREETHAM", "HOSEK_WILKIE"} and not any(socket.is_linked for socket in node.inputs)]
-
-
 def part_suns(radiance: np.ndarray, look: Look, form: ViewFormat, name: str,
-              known: Sequence[np.ndarray] = ()) -> tuple[np.ndarray, tuple[Light, ...]]:
+              known: Sequence[tuple[np.ndarray, float]] = ()) -> tuple[np.ndarray, tuple[Light, ...]]:
     """A world's map without its suns, and these as lamps.
 
     Parameters
     ----------
     radiance : (H, W, 3) float32
-        W/(m2 sr), laid out as `core.frame.World`.
+        W/(m2 sr), laid out as `frame.World`.
     look : callable
         Radiance (h, w, 3) that a view of the world alone shows: a texel may be wider than a sun.
     form : ViewFormat
         Of such views, about CLOSE_PX wide.
     name : str
         Of the lamps.
-    known : sequence of (3,) arrays
-        Unit vectors to look at besides the map's brightest texels.
+    known : sequence of ((3,) array, float)
+        Unit vectors to look at besides the map's brightest texels, and angular diameters in rad of what stands there.
 
     Returns
     -------
@@ -149,15 +139,16 @@ def part_suns(radiance: np.ndarray, look: Look, form: ViewFormat, name: str,
     """
     direction, solid_angle = texel_directions(*radiance.shape[:2])
     suns: list[Light] = []
-    for towards in known:
-        radiance = _take_sun(radiance, direction, solid_angle, _sun_at(towards, look, form, name), suns)
+    for towards, angle_rad in known[:MOST_SUNS]:
+        half_angle_rad = min(FILLS * angle_rad, CLOSE_RAD)
+        radiance = _take_sun(radiance, direction, solid_angle, _sun_at(towards, half_angle_rad, look, form, name), suns)
     while len(suns) < MOST_SUNS:
         brightness, before = radiance.mean(-1, dtype=np.float64), len(suns)
         peak = int(brightness.argmax())
         if not brightness.flat[peak] * 4 * math.pi > PEAK * float((brightness * solid_angle).sum()):
             break
         radiance = _take_sun(radiance, direction, solid_angle,
-                             _sun_at(direction.reshape(-1, 3)[peak], look, form, name), suns)
+                             _sun_at(direction.reshape(-1, 3)[peak], CLOSE_RAD, look, form, name), suns)
         if len(suns) == before:
             break
     return radiance, tuple(suns)
