@@ -146,19 +146,28 @@ def mean_albedo_table(keeps_energy: bool = True) -> np.ndarray:
 
 
 @device_jit
+def mean_rise(cos_fixed, alpha, f0, albedos, means):
+    """What a lobe reflects in the mean over all directions, over what it reflects towards `fixed`.
+
+    `albedos` is `albedo_table()` and `means` `mean_albedo_table()`.
+    """
+    flat, rise = lobe_albedos(albedos, cos_fixed, alpha)
+    y = min(max(alpha * f32(GAIN_STEPS) - HALF, ZERO), f32(GAIN_STEPS - 1.001))
+    j = int(y)
+    t = y - f32(j)
+    flat_mean, rise_mean = ((ONE - t) * means[j, 0] + t * means[j + 1, 0], (ONE - t) * means[j, 1] + t * means[j + 1, 1])
+    return (f0 * flat_mean + (ONE - f0) * rise_mean) / max(f0 * flat + (ONE - f0) * rise, f32(1e-4))
+
+
+@device_jit
 def matt_share(reflectance, cos_fixed, alpha, f0, albedos, means):
     """What lies under a dielectric's lobe gets towards all directions, over what it gets towards `fixed`.
 
     A surface that reflects E leaves 1 - E for what is below, and E rises towards grazing: a colour seen from `fixed` is that
     much too dark, or too bright, for the others. `means` is `mean_albedo_table()`. Metals have nothing below: 1.
     """
-    flat, rise = lobe_albedos(albedos, cos_fixed, alpha)
-    y = min(max(alpha * f32(GAIN_STEPS) - HALF, ZERO), f32(GAIN_STEPS - 1.001))
-    j = int(y)
-    t = y - f32(j)
-    mean_flat, mean_rise = ((ONE - t) * means[j, 0] + t * means[j + 1, 0], (ONE - t) * means[j, 1] + t * means[j + 1, 1])
     reflectance = min(reflectance, f32(0.9))
-    mean = (f0 * mean_flat + (ONE - f0) * mean_rise) * reflectance / max(f0 * flat + (ONE - f0) * rise, f32(1e-4))
+    mean = reflectance * mean_rise(cos_fixed, alpha, f0, albedos, means)
     dielectric = min(max((f32(0.2) - f0) / f32(0.12), ZERO), ONE)
     return ONE + dielectric * ((ONE - min(mean, f32(0.9))) / (ONE - reflectance) - ONE)
 

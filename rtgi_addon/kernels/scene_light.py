@@ -94,6 +94,17 @@ def _shining(bvh, around, slot, d, t, sky):
 
 
 @inline_jit
+def _shown_emission(own, seen, share):
+    """Emission of a hit whose triangle emits `own` and whose place in the picture `seen`, which is known to a `share`.
+
+    The picture tells how a texture varies. Pixels may miss a narrow emitter, or show it beside what does not shine.
+    """
+    if not max(own.x, max(own.y, own.z)) > ZERO or not max(seen.x, max(seen.y, seen.z)) > ZERO:
+        return own
+    return add(scaled(seen, share), scaled(own, ONE - share))
+
+
+@inline_jit
 def _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m):
     """Radiance of the world or of an emissive surface that p, of normal n, sees in direction d."""
     _, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
@@ -208,10 +219,12 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                     glossy = add(glossy, _from_lobe(bvh, around, stack, p, n, to_ray, specular, roughness, f0, gloss.albedos,
                                                     rules.offset_m, rules.reach_m, u, v, pick))
             matt, glossy = scaled(matt, (ONE - share) / f32(lookups)), scaled(glossy, ONE / f32(lookups))
+            own = load(around.emission, source)
+            shown = _shown_emission(own, Vec3(light[3], light[4], light[5]), share)
             for c in range(3):
                 given = (matt.x + glossy.x) if c == 0 else ((matt.y + glossy.y) if c == 1 else (matt.z + glossy.z))
                 light[c] = share * light[c] + given
-                light[3 + c] = share * light[3 + c] + (ONE - share) * around.emission[source, c]
+            light[3], light[4], light[5] = shown
         known = rays.share[r]
         if rays.density[r] > ZERO:
             _, aimed = _shining(bvh, around, slot, d, rays.length_m[r] + t, around.blurred_sky)

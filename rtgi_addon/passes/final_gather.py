@@ -13,8 +13,9 @@ import numpy as np
 
 from ..core.frame import Frame
 from ..core.techniques import FinalGatherParams
-from ..kernels.brdf import albedo_table
+from ..kernels.brdf import albedo_table, mean_albedo_table
 from ..kernels.depth_pyramid import build_pyramid
+from ..kernels.gloss_pixels import mean_colours
 from ..kernels.lit_hits import Gloss
 from ..kernels.reflect import Rules, aim_rays, make_rays
 from ..kernels.scene_light import ask_scene
@@ -60,7 +61,10 @@ def compute_final_gather(frame: Frame, params: FinalGatherParams, context: Conte
     planes = build_pyramid(screen, 0.5, has_levels=False).planes
     black, geometry = np.zeros_like(g.albedo), frame.geometry
     # what the surface between reflects of its glossy lobe goes the way of the matt one: the energy is right
-    whole = dataclasses.replace(frame, gbuffer=dataclasses.replace(g, albedo=np.minimum(g.albedo + g.specular, 1)))
+    lobes = np.zeros_like(g.specular)
+    mean_colours(g.shape[0], screen, g.mask, g.roughness, g.f0, g.specular, albedo_table(frame.keeps_energy),
+                 mean_albedo_table(frame.keeps_energy), lobes)
+    whole = dataclasses.replace(frame, gbuffer=dataclasses.replace(g, albedo=np.minimum(g.albedo + lobes, 1)))
     leaving = leave_surfaces(whole, context, (Transport.WORLD_DIFFUSE, Transport.EMISSION_DIFFUSE))
     around = surroundings_of(frame, geometry)
     specular = np.array([material.specular for material in frame.materials] or [(0, 0, 0)], np.float32)[around.material]
