@@ -84,6 +84,9 @@ def fill_texels(begin, end, table, first, reflects, position, normal, face, albe
             if not reflects[i, j]:
                 continue
             p, n, m = load_pixel(position, i, j), load_pixel(normal, i, j), load_pixel(face, i, j)
+            is_flat = dot(n, m) > SAME_NORMAL
+            if is_flat:                          # then the receivers' normals are the same to the last digit
+                m = n
             w = to_sun if is_sun else normalized_or(sub(light_position, p), n)
             alpha = roughness[i, j] * roughness[i, j]
             has_lobe = use_glossy and alpha >= sharpest
@@ -91,7 +94,7 @@ def fill_texels(begin, end, table, first, reflects, position, normal, face, albe
             d, cosine = sub(light_position, p), min(max(dot(n, w), ZERO), f32(0.999))
             of_face = max(dot(m, w), LEAST_COSINE)
             radius[k] = math.sqrt(across[i, j] * (ONE if is_sun else dot(d, d)) * INV_PI / of_face)
-            lit = min(max(dot(n, w), ZERO) / of_face, MOST_LIT) if dot(n, m) < SAME_NORMAL else ONE
+            lit = min(max(dot(n, w), ZERO) / of_face, MOST_LIT) if not is_flat else ONE
             reflectance = (specular[i, j, 0] + specular[i, j, 1] + specular[i, j, 2]) * f32(1 / 3)
             f0, gain = fit_lobe(reflectance, cosine, alpha, albedos, known_f0[i, j])
             below, diffuse, glossy = matt_share(reflectance, cosine, alpha, f0, albedos, means), ZERO, ZERO

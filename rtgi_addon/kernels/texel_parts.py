@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .bvh import STACK, closest_hit, closest_triangle, triangle_normal
+from .clusters import SAME_NORMAL
 from .jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
 from .shadow import ORTHOGRAPHIC, PERSPECTIVE
 from .vec3 import ONE, ZERO, Vec3, add, along, dot, f32, load_pixel, normalized_or, scaled, sub, turned_by
@@ -97,8 +98,10 @@ def _find_faces(begin, end, depth, position, is_lit, projection, world_from_view
 @inline_jit
 def _shading_normal(normal, faces, i, j, face):
     """That of a part on a triangle of normal `face`: tilted as that of texel (i, j), of the same surface, off its own."""
-    tilt = sub(load_pixel(normal, i, j), load_pixel(faces, i, j))
-    return normalized_or(add(face, tilt), face)
+    shown = load_pixel(normal, i, j)
+    if dot(shown, face) > SAME_NORMAL:           # to the last digit what the view tells of a plane
+        return shown
+    return normalized_or(add(face, sub(shown, load_pixel(faces, i, j))), face)
 
 
 @pixel_jit

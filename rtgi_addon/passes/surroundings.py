@@ -16,6 +16,7 @@ from .base import Context, Transport
 from .direct import pack_lamp
 from .sky_light import shrink_map, sky_distribution
 
+SMALL = 0.05                # area of emissive triangles over that of the scene's bounds from which they are not aimed at
 PEAK = 32                   # times the mean radiance from which a part of the world is aimed at
 MAX_SKY = (512, 1024)       # a mirror shows the world at the resolution of its map, up to this
 
@@ -65,14 +66,18 @@ def surroundings_of(frame: Frame, geometry: Geometry) -> Surroundings:
 
 
 def shines_of(geometry: Geometry, sky: np.ndarray) -> Shines:
-    """What rays may be aimed at: the emissive triangles, and the world `sky` (h, w, 3) if it has small bright parts."""
+    """What rays may be aimed at: emissive triangles and parts of the world `sky` (h, w, 3), where they are small and bright.
+
+    What surrounds a place is met by every ray, and aiming would only add noise.
+    """
     index = np.flatnonzero(geometry.emission.any(1))
     corners, radiance = geometry.corners_ws[index].astype(np.float32), geometry.emission[index].astype(np.float32)
     edges = corners[:, 1:].astype(np.float64) - corners[:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     power = np.nan_to_num(radiance.mean(1, dtype=np.float64) * area, nan=0.0, posinf=0.0)
-    total = float(power.sum())
-    if not total > 0:
+    total, (width, depth, height) = float(power.sum()), np.subtract(*geometry.bounds_ws[::-1]).astype(np.float64)
+    if not total > 0 or area.sum() > SMALL * 2 * (width * depth + depth * height + height * width):
+        total = 0.0
         corners, radiance, power = corners[:0], radiance[:0], power[:0]
     sky_cdf, sky_density = np.zeros(0), np.zeros((0, 0), np.float32)
     if sky.any():

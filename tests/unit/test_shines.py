@@ -41,7 +41,9 @@ def aimed(shines, sky, count, place=(0.0, 0.0, 0.0)):
 def test_one_over_the_density_adds_up_to_the_solid_angle_of_emitters():
     # a square of 2 x 2 m, 1 m away, covers a sixth of the sphere; it shines unevenly, which moves the rays, not their sum
     square = np.array([[[-1, -1, 1], [1, -1, 1], [1, 1, 1]], [[-1, -1, 1], [1, 1, 1], [-1, 1, 1]]])
-    density, radiance, direction = aimed(shines_of(geometry_of(square, (1.0, 5.0)), NO_SKY), NO_SKY, 20000)
+    hall = np.array([[[-9, -9, -9], [9, -9, 9], [9, 9, 9]]])
+    density, radiance, direction = aimed(shines_of(geometry_of(np.concatenate([square, hall]), (1.0, 5.0, 0.0)), NO_SKY),
+                                         NO_SKY, 20000)
     assert (density > 0).all() and np.abs(direction[:, :2] / direction[:, 2:]).max() <= 1 + 1e-5
     # the standard error of the mean is below a percent
     assert (1 / density).mean() == pytest.approx(4 * np.pi / 6, rel=0.03)
@@ -59,10 +61,11 @@ def test_the_bright_part_of_a_sky_is_aimed_at_by_its_light():
     np.testing.assert_allclose(radiance[:, 0] / density, (sky[..., 0] * solid_angle).sum(), rtol=1e-3)
 
 
-def test_even_skies_and_dark_scenes_are_not_aimed_at():
+def test_even_skies_dark_scenes_and_walls_that_shine_are_not_aimed_at():
+    shining = geometry_of(wall((-4, 4), 2.5, (0, 3)), (1.0, 1.0))
     for sky in (NO_SKY, np.full((32, 64, 3), 2.0, np.float32)):
-        found = shines_of(Geometry.empty(), sky)
-        assert not shines_kernel.has_aim(found)
+        for geometry in (Geometry.empty(), shining):
+            assert not shines_kernel.has_aim(shines_of(geometry, sky))
 
 
 def floor_before_a_tube(roughness, world=None, height_m=0.05):
