@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from .jit import borrowed, device_jit, pixel_jit, scratch
 from .octahedron import table_at
 from .sampling import cosine_hemisphere, dither, r2_sequence
 from .vec3 import ONE, ZERO, Vec3, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
+
+GUIDE_ROWS, GUIDE_COLUMNS = 12, 24      # cells of a guide, 9 degrees wide: a window seen from across a room
 
 
 @device_jit
@@ -48,59 +51,106 @@ def find_first(cdf, u):
     return lo
 
 
+class Guide(NamedTuple):
+    """Where the sky is seen from groups of points, so that rays can be aimed through windows.
+
+    of (M,) int32: group of each point, -1 for those that need none; cdf (G, GUIDE_ROWS * GUIDE_COLUMNS) float64: running
+    share of the light that comes through each cell of the sphere; density (G, same) float32 1/sr of the directions.
+    """
+
+    of: np.ndarray
+    cdf: np.ndarray
+    density: np.ndarray
+
+
+def no_guide(count: int) -> Guide:
+    """For points that need none."""
+    cells = GUIDE_ROWS * GUIDE_COLUMNS
+    return Guide(np.full(count, -1, np.int32), np.zeros((0, cells)), np.zeros((0, cells), np.float32))
+
+
+@device_jit
+def _guide_cell(d):
+    """Cell of direction d: rows of even height, so that all cells are of one size."""
+    row = int((d.z + ONE) * f32(0.5 * GUIDE_ROWS))
+    column = int((fast_atan2(d.y, d.x) + PI) / TWO_PI * f32(GUIDE_COLUMNS))
+    return min(max(row, 0), GUIDE_ROWS - 1) * GUIDE_COLUMNS + min(max(column, 0), GUIDE_COLUMNS - 1)
+
+
+@device_jit
+def _guided_direction(cell, u, v):
+    """Unit direction in a cell, even over it."""
+    z = (f32(cell // GUIDE_COLUMNS) + v) * f32(2 / GUIDE_ROWS) - ONE
+    x, y = on_circle((f32(cell % GUIDE_COLUMNS) + u) * f32(1 / GUIDE_COLUMNS))
+    r = math.sqrt(max(ZERO, ONE - z * z))
+    return Vec3(-r * x, -r * y, z)
+
+
 @pixel_jit
-def _gather_sky(begin, end, position, normal, places, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed,
-                out):
-    bvh, = borrowed((bvh,))
-    height, width = radiance.shape[0], radiance.shape[1]
-    by_map = int(f32(rays) * map_share)
+def _gather_sky(begin, end, position, normal, places, radiance, cdf, density, bvh, rays, map_share, first, last, guide,
+                offset_m, reach_m, seed, out, cells, values):
+    bvh, guide = borrowed((bvh, guide))
+    height, width, count = radiance.shape[0], radiance.shape[1], last - first
     stack = scratch(STACK, np.int32)
     for m in range(begin, end):
-        p, n = load(position, m), load(normal, m)
+        p, n, group = load(position, m), load(normal, m), guide.of[m]
         tangent, bitangent = tangent_frame(n)
         origin = lifted(p, n, offset_m)
         place = places[m]
         shift_u, shift_v, shift_w = dither(place, seed, 0), dither(place, seed, 1), dither(place, seed, 2)
-        red, green, blue, given, squares = ZERO, ZERO, ZERO, ZERO, ZERO
-        for j in range(rays):
-            u, v = r2_sequence(j, shift_u, shift_v)
-            if j < by_map:
-                k = find_first(cdf, (f32(j) + shift_w) / f32(by_map))
-                d = sky_direction(k // width, k % width, u, v, height, width)
+        # of guided points these rays alone are one estimate, of the others all
+        guided = count // 2 if group >= 0 else 0
+        plain = count - guided if group >= 0 else rays
+        by_map = int(f32(plain) * map_share)
+        for k in range(count):
+            # rays by the map lie evenly among those by the cosine, so that the first few are a fair sample
+            j = k - guided if group >= 0 else first + k
+            before, after = int(f32(j) * map_share), int(f32(j + 1) * map_share)
+            # the points of a sort follow each other
+            i = k if k < guided else (before if after > before else by_map + j - before)
+            u, v = r2_sequence(i, shift_u, shift_v)
+            if k < guided:
+                d = _guided_direction(find_first(guide.cdf[group], (f32(k) + shift_w) / f32(guided)), u, v)
+            elif after > before:
+                q = find_first(cdf, (f32(before) + shift_w) / f32(by_map))
+                d = sky_direction(q // width, q % width, u, v, height, width)
             else:
                 d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
             cosine = dot(d, n)
             if cosine <= ZERO:
                 continue
             row, column = sky_texel(d, height, width)
-            pdf = f32(by_map) * density[row, column] + f32(rays - by_map) * cosine * INV_PI
+            pdf = f32(by_map) * density[row, column] + f32(plain - by_map) * cosine * INV_PI
+            cell = _guide_cell(d)
+            if group >= 0:
+                pdf += f32(guided) * guide.density[group, cell]
             weight = cosine / pdf
             r, g, b = radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2]
             mean = f32(1 / 3) * weight * (r + g + b)
-            given += mean
+            out[m, 3] += mean
             if mean > ZERO:
                 arrives = visibility(bvh, stack, begun(origin, d, offset_m), scaled(d, reach_m))
                 weight, mean = weight * arrives, mean * arrives
-                red, green, blue = red + weight * r, green + weight * g, blue + weight * b
-                squares += mean * mean
-        out[m, 0], out[m, 1], out[m, 2], out[m, 3] = red, green, blue, given
-        out[m, 4] = max(squares - f32(1 / 9) * (red + green + blue) ** 2 / f32(rays), ZERO)
+                out[m, 0], out[m, 1], out[m, 2] = out[m, 0] + weight * r, out[m, 1] + weight * g, out[m, 2] + weight * b
+                out[m, 4] += mean * mean
+                if k < cells.shape[1] and mean > ZERO:
+                    cells[m, k], values[m, k] = cell, mean
 
 
-def gather_sky(position, normal, places, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m, seed):
-    """Irradiance from the sky with visibility at points (M, 3), as (M, 5) float32.
+def gather_sky(position, normal, places, radiance, cdf, density, bvh, rays, map_share, first, last, guide, offset_m, reach_m,
+               seed, out, cells, values) -> None:
+    """Add to `out` (M, 5) what rays `first` to `last` of `rays` bring of the sky to points (M, 3).
 
-    Columns: irradiance by colour; what an open point would get from the same rays (mean over colours); variance of the mean.
-    W/m2.
+    Columns: irradiance by colour; what an open point would get from the same rays (mean over colours); the squares of what
+    single rays bring. W/m2. Of points with a `guide` these rays are an estimate of their own, half of them guided.
 
     `radiance` (H, W, 3) W/(m2 sr); `cdf` (H W,) float64 running sum of brightness times solid angle, ending at 1; `density`
-    (H, W) float32 1/sr of drawing a direction by it. Of `rays` rays the share `map_share` is drawn by the map, the rest by
-    cosine; both are weighed by the balance heuristic (Veach 1997, Eq. 9.8).
+    (H, W) float32 1/sr of drawing a direction by it. Of the rays that are not guided the share `map_share` is drawn by the
+    map, the rest by cosine; all are weighed by the balance heuristic (Veach 1997, Eq. 9.8). `cells` (M, K) int16 and
+    `values` (M, K) get the guide's cell and the light of the first K rays that arrive.
     """
-    out = np.zeros((len(position), 5), np.float32)
-    _gather_sky(len(position), position, normal, places, radiance, cdf, density, bvh, rays, map_share, offset_m, reach_m,
-                seed, out)
-    return out
+    _gather_sky(len(position), position, normal, places, radiance, cdf, density, bvh, rays, map_share, first, last, guide,
+                offset_m, reach_m, seed, out, cells, values)
 
 
 @pixel_jit

@@ -7,13 +7,20 @@ import numpy as np
 from ..core.frame import Frame, World
 from ..core.radiometry import mean_of
 from ..core.techniques import WorldParams
-from ..kernels.sky import gather_sky
+from ..kernels.sky import GUIDE_COLUMNS, GUIDE_ROWS, Guide, gather_sky, no_guide
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .lattice import gather_on_lattice
 from .sky_light import open_irradiance, shrink_map, sky_distribution
 
 MAP_SHARE = 0.5             # share of the rays drawn by the map's brightness, when it is not constant
+# Where little of the sky is seen, as in a room with a window, the first rays tell where, and guide half of the others:
+PILOTS = 4                  # one ray in so many goes first
+LEAST_RAYS = 16             # fewer would leave too few of either sort
+GUIDE_PX = 32               # edge of the squares of pixels that have a guide in common
+CLOSED = 0.12               # share of an open sky's light below which they have one
+LEAST_SEEN = 4              # rays that arrived in such a square, at least
+PILOT_SHARE = np.float32(0.05)      # of the mean that the first rays make up where others are guided: they are noisy
 
 
 def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int = 0) -> PassResult:
@@ -50,12 +57,59 @@ def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int
     low, high = frame.geometry.bounds_ws
     reach = float(np.linalg.norm(high - low)) + float(np.abs(g.position_ws).max(initial=0)) * 2 + 1.0
 
-    def gather(position: np.ndarray, normal: np.ndarray, _: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:
-        return gather_sky(position, normal, places, sky.radiance, cdf, density, bvh, params.rays,
-                          f32(0.0 if sky.is_constant else MAP_SHARE), f32(frame.ray_offset_m), f32(reach), salt)
+    rays, map_share = params.rays, f32(0.0 if sky.is_constant else MAP_SHARE)
+    pilots = rays // PILOTS if rays >= LEAST_RAYS else 0
+
+    def gather(position: np.ndarray, normal: np.ndarray, ids: np.ndarray, places: np.ndarray, salt: int) -> np.ndarray:
+        out = np.zeros((len(ids), 5), np.float32)
+        cells, values = np.full((len(ids), pilots), -1, np.int16), np.zeros((len(ids), pilots), np.float32)
+
+        def send(first: int, last: int, guide: Guide) -> None:
+            gather_sky(position, normal, places, sky.radiance, cdf, density, bvh, rays, map_share, first, last, guide,
+                       f32(frame.ray_offset_m), f32(reach), salt, out, cells, values)
+
+        send(0, pilots, no_guide(len(ids)))
+        guide = _guide_of(out, cells, values, *np.divmod(ids, g.shape[1]))
+        is_guided = guide.of >= 0
+        early, out[is_guided] = out[is_guided] * np.float32(rays / max(pilots, 1)), 0
+        send(pilots, rays, guide)
+        number = np.where(is_guided, rays - pilots, rays)
+        out[:, 4] = np.maximum(out[:, 4] - mean_of(out[:, :3]) ** 2 / number, 0)
+        out[is_guided] *= np.float32([1 - PILOT_SHARE] * 4 + [(1 - PILOT_SHARE) ** 2])
+        out[is_guided, :4] += PILOT_SHARE * early[:, :4]
+        return out
 
     irradiance, diagnostics = gather_on_lattice(frame, gather, params.lattice_px, 2 * seed + 3, context, "World light")
     return PassResult({Transport.WORLD_DIFFUSE: irradiance}, _visibility(irradiance, sky, g.normal_ws, g.mask), diagnostics)
+
+
+def _guide_of(out: np.ndarray, cells: np.ndarray, values: np.ndarray, row: np.ndarray, column: np.ndarray) -> Guide:
+    """Where the sky is seen from squares of the picture, by the rays that arrived at the points (M,) in and around them.
+
+    `out` (M, 5), `cells` and `values` (M, K) are of `gather_sky`. Squares that see much of the sky, or none, have no guide.
+    """
+    across, down = int(column.max(initial=0)) // GUIDE_PX + 1, int(row.max(initial=0)) // GUIDE_PX + 1
+    square, kinds = row // GUIDE_PX * across + column // GUIDE_PX, GUIDE_ROWS * GUIDE_COLUMNS
+
+    def sums(weights: np.ndarray) -> np.ndarray:
+        return np.bincount(square, weights, across * down)
+
+    arrived, number = cells >= 0, sums((cells >= 0).sum(1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        is_guided = (sums(mean_of(out[:, :3])) < CLOSED * sums(out[:, 3])) & (number >= LEAST_SEEN)
+    chosen = np.flatnonzero(is_guided)
+    if not len(chosen):
+        return no_guide(len(row))
+    flat = (square[:, None] * kinds + cells)[arrived]
+    light = np.bincount(flat, values[arrived], across * down * kinds).reshape(down, across, kinds)
+    padded = np.pad(light, ((1, 1), (1, 1), (0, 0)))
+    around = sum(padded[i:i + down, j:j + across] for i in range(3) for j in range(3)).reshape(-1, kinds)[chosen]
+    share = around / around.sum(1, keepdims=True)
+    cdf = np.cumsum(share, 1)
+    cdf[:, -1] = 1.0
+    group = np.full(across * down, -1, np.int32)
+    group[chosen] = np.arange(len(chosen))
+    return Guide(group[square], cdf, (share * (kinds / (4 * np.pi))).astype(np.float32))
 
 
 def _visibility(irradiance: np.ndarray, sky: World, normal_ws: np.ndarray, mask: np.ndarray) -> np.ndarray:
