@@ -18,8 +18,9 @@ MAP_SHARE = 0.5             # share of the rays drawn by the map's brightness, w
 PILOTS = 4                  # one ray in so many goes first
 LEAST_RAYS = 16             # fewer would leave too few of either sort
 GUIDE_PX = 32               # edge of the squares of pixels that have a guide in common
-CLOSED = 0.12               # share of an open sky's light below which they have one
+CLOSED = 0.3                # share of an open sky's light below which they may have one
 LEAST_SEEN = 4              # rays that arrived in such a square, at least
+NARROW = 0.06               # share of the sphere, as an even light of equal spread, above which guides do not pay
 PILOT_SHARE = np.float32(0.05)      # of the mean that the first rays make up where others are guided: they are noisy
 
 
@@ -86,7 +87,8 @@ def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int
 def _guide_of(out: np.ndarray, cells: np.ndarray, values: np.ndarray, row: np.ndarray, column: np.ndarray) -> Guide:
     """Where the sky is seen from squares of the picture, by the rays that arrived at the points (M,) in and around them.
 
-    `out` (M, 5), `cells` and `values` (M, K) are of `gather_sky`. Squares that see much of the sky, or none, have no guide.
+    `out` (M, 5), `cells` and `values` (M, K) are of `gather_sky`. Squares that see much of the sky, or none, have no guide, nor
+    do those that see it here and there: where one point sees it others do not.
     """
     across, down = int(column.max(initial=0)) // GUIDE_PX + 1, int(row.max(initial=0)) // GUIDE_PX + 1
     square, kinds = row // GUIDE_PX * across + column // GUIDE_PX, GUIDE_ROWS * GUIDE_COLUMNS
@@ -105,6 +107,8 @@ def _guide_of(out: np.ndarray, cells: np.ndarray, values: np.ndarray, row: np.nd
     padded = np.pad(light, ((1, 1), (1, 1), (0, 0)))
     around = sum(padded[i:i + down, j:j + across] for i in range(3) for j in range(3)).reshape(-1, kinds)[chosen]
     share = around / around.sum(1, keepdims=True)
+    is_narrow = (share**2).sum(1) * kinds > 1 / NARROW
+    chosen, share = chosen[is_narrow], share[is_narrow]
     cdf = np.cumsum(share, 1)
     cdf[:, -1] = 1.0
     group = np.full(across * down, -1, np.int32)
