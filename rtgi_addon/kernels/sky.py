@@ -106,9 +106,9 @@ def _gather_sky(begin, end, position, normal, places, radiance, cdf, density, bv
             # rays by the map lie evenly among those by the cosine, so that the first few are a fair sample
             j = k - guided if group >= 0 else first + k
             before, after = int(f32(j) * map_share), int(f32(j + 1) * map_share)
-            # the points of a sort follow each other
+            # the points of a sort follow each other, and none is one that the guide was made by
             i = k if k < guided else (before if after > before else by_map + j - before)
-            u, v = r2_sequence(i, shift_u, shift_v)
+            u, v = r2_sequence(i + (rays if group >= 0 else 0), shift_u, shift_v)
             if k < guided:
                 d = _guided_direction(find_first(guide.cdf[group], (f32(k) + shift_w) / f32(guided)), u, v)
             elif after > before:

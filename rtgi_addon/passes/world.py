@@ -87,8 +87,8 @@ def compute_world(frame: Frame, params: WorldParams, context: Context, seed: int
 def _guide_of(out: np.ndarray, cells: np.ndarray, values: np.ndarray, row: np.ndarray, column: np.ndarray) -> Guide:
     """Where the sky is seen from squares of the picture, by the rays that arrived at the points (M,) in and around them.
 
-    `out` (M, 5), `cells` and `values` (M, K) are of `gather_sky`. Squares that see much of the sky, or none, have no guide, nor
-    do those that see it here and there: where one point sees it others do not.
+    `out` (M, 5), `cells` and `values` (M, K) are of `gather_sky`. Squares that see much of the sky, or none, have no guide,
+    nor do those that see it here and there: where one point sees it others do not.
     """
     across, down = int(column.max(initial=0)) // GUIDE_PX + 1, int(row.max(initial=0)) // GUIDE_PX + 1
     square, kinds = row // GUIDE_PX * across + column // GUIDE_PX, GUIDE_ROWS * GUIDE_COLUMNS
