@@ -110,3 +110,54 @@ def test_highlights_of_other_indices_are_those_of_cycles(bpy_session, small_scen
     # Fresnel's rise has the shape of index 1.5; with its reflectance at normal incidence too this was off by 8 to 40 %
     assert np.abs(got - mean).sum() / mean.sum() <= 0.07
     assert got.sum() == pytest.approx(mean.sum(), rel=0.05)
+
+
+def sky_over(bpy, scene, kind):
+    """A world with a sun in it for the scene in place of its lamp."""
+    bpy.data.objects.remove(scene.objects["Spot"])
+    world = bpy.data.worlds.new("Sky")
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    scene.world, tree = world, world.node_tree
+    background = tree.nodes["Background"]
+    if kind == "sky":
+        node = tree.nodes.new("ShaderNodeTexSky")
+        kinds = [item.identifier for item in node.bl_rna.properties["sky_type"].enum_items]
+        node.sky_type = "NISHITA" if "NISHITA" in kinds else "MULTIPLE_SCATTERING"
+        node.sun_elevation, node.sun_rotation = 0.7, 2.6
+        background.inputs["Strength"].default_value = 0.2
+    else:
+        node = tree.nodes.new("ShaderNodeTexEnvironment")
+        image = bpy.data.images.new("Field", 256, 128, float_buffer=True)
+        row, column = np.mgrid[0:128, 0:256]
+        pixels = np.ones((128, 256, 4), np.float32)
+        pixels[..., :3] = (0.2, 0.3, 0.5)
+        pixels[np.hypot(row - 100.5, column - 40.5) < 2.4, :3] = (900, 800, 600)
+        image.pixels.foreach_set(pixels.ravel())
+        image.pack()
+        node.image = image
+    tree.links.new(node.outputs["Color"], background.inputs["Color"])
+    bpy.context.view_layer.update()
+
+
+@pytest.mark.parametrize("kind", ["sky", "environment"])
+def test_a_sun_in_the_world_lights_and_shadows_as_in_cycles(bpy_session, small_scene, kind):
+    from rtgi_addon import engine
+    from rtgi_addon.passes.base import Transport
+
+    sky_over(bpy_session, small_scene, kind)
+    small_scene.rtgi.world.rays = 256
+    transports, reference = rtgi_and_cycles(small_scene)
+    assert list(engine.last_result().report["diagnostics"]["direct"]["asked_pixels"]) == ["sun of Sky"]
+    mask = reference.mask
+    got = ((transports[Transport.DIRECT_DIFFUSE] + transports[Transport.WORLD_DIFFUSE]) / np.pi * reference.albedo)[mask]
+    a, b = (half[mask] for half in reference.halves("direct diffuse"))
+    mean = (a + b) / 2
+    noise = np.abs(a - b).sum() / 2 / mean.sum()
+    # the sky's light is smoothed over its own lattice, and the sun is as the even disk of its light
+    assert np.abs(got - mean).sum() / mean.sum() <= 0.03 + noise
+    assert got.sum() == pytest.approx(mean.sum(), rel=0.01)
+    if kind == "sky":
+        sun = transports[Transport.DIRECT_DIFFUSE].mean(-1)
+        floor = mask & (transports[Transport.WORLD_DIFFUSE].mean(-1) > 0)
+        assert (sun[floor] == 0).any() and (sun[floor] > 0).any()           # shadows have an edge

@@ -279,3 +279,54 @@ def test_reading_and_numbering_leave_the_file_clean(bpy, shown, make_image, tmp_
     depsgraph = bpy.context.evaluated_depsgraph_get()
     number_materials(depsgraph, read_materials(depsgraph))
     assert bpy.data.is_dirty == before
+
+
+def stepped(shown, kind, output, threshold):
+    """The material's base colour is 1 where a procedural texture is above a threshold, 0 elsewhere."""
+    pattern, above = shown.add(kind), shown.add("ShaderNodeMath")
+    above.operation = "GREATER_THAN"
+    above.inputs[1].default_value = threshold
+    shown.link(pattern.outputs[output], above.inputs[0])
+    shown.link(above.outputs[0], shown.principled.inputs["Base Color"])
+    shown.set(Specular_IOR_Level=0.0)
+
+
+# shares measured in renders of a plane by Cycles, 65 536 points each
+@pytest.mark.parametrize(("kind", "output", "threshold", "share"), [
+    ("ShaderNodeTexNoise", 0, 0.443, 0.75), ("ShaderNodeTexNoise", 0, 0.607, 0.10),
+    ("ShaderNodeTexVoronoi", "Distance", 0.288, 0.90), ("ShaderNodeTexVoronoi", "Distance", 0.653, 0.25),
+    ("ShaderNodeTexWave", 1, 0.849, 0.25), ("ShaderNodeTexWave", 1, 0.029, 0.90)])
+def test_a_threshold_of_a_procedural_texture_keeps_its_share(shown, kind, output, threshold, share):
+    stepped(shown, kind, output, threshold)
+    material, _ = shown.read()
+    assert material.albedo[0] == pytest.approx(share, abs=0.035)
+
+
+def test_two_procedural_textures_vary_by_themselves(shown):
+    first, second = shown.add("ShaderNodeTexWhiteNoise"), shown.add("ShaderNodeTexWhiteNoise")
+    product = shown.add("ShaderNodeMath")
+    product.operation = "MULTIPLY"
+    shown.link(first.outputs["Value"], product.inputs[0])
+    shown.link(second.outputs["Value"], product.inputs[1])
+    shown.link(product.outputs[0], shown.principled.inputs["Base Color"])
+    shown.set(Specular_IOR_Level=0.0)
+    material, _ = shown.read()
+    assert material.albedo[0] == pytest.approx(0.25, abs=0.01)     # of one texture squared it would be 1/3
+
+
+def test_bricks_and_mortar_take_the_shares_of_their_sizes(shown):
+    bricks = shown.add("ShaderNodeTexBrick", Color1=(1, 0, 0, 1), Color2=(0, 1, 0, 1), Mortar=(0, 0, 1, 1))
+    bricks.inputs["Mortar Size"].default_value = 0.05
+    shown.link(bricks.outputs["Color"], shown.principled.inputs["Base Color"])
+    shown.set(Specular_IOR_Level=0.0)
+    material, _ = shown.read()
+    bare = (1 - 0.1 / 0.5) * (1 - 0.1 / 0.25)                       # a brick is 0.5 wide and 0.25 high
+    assert material.albedo == pytest.approx((bare / 2, bare / 2, 1 - bare), abs=0.02)
+
+
+def test_leaves_cut_out_of_a_procedural_texture_are_there(shown):
+    stepped(shown, "ShaderNodeTexVoronoi", "Distance", 0.401)
+    link = next(link for link in shown.tree.links if link.to_socket.name == "Base Color")
+    shown.link(link.from_socket, shown.principled.inputs["Alpha"])
+    material, table = shown.read()
+    assert material.alpha == pytest.approx(0.75, abs=0.035) and table.has_transparency
