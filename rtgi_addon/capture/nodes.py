@@ -33,6 +33,8 @@ _PATTERNS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "TEX_VORONOI": lambda u: np.cbrt(-0.2 * np.log1p(-u)),          # distance to the nearest of scattered points
 }
 
+_COLOURED = {"TEX_NOISE", "TEX_MAGIC", "TEX_WHITE_NOISE", "TEX_VORONOI"}    # their channels vary by themselves
+
 # how a surface acts on the light that bounces, which is what rays and voxels ask for; and what stops light on its way
 BOUNCED_PATH = {"Is Diffuse Ray": 1.0, "Is Reflection Ray": 1.0, "Ray Depth": 1.0, "Diffuse Depth": 1.0}
 SHADOW_PATH = {"Is Shadow Ray": 1.0}
@@ -280,9 +282,10 @@ class NodeReader:
         if read is not None:
             return read(node, output)
         if node.type in _PATTERNS:
-            is_coloured = output.type == "RGBA" and node.type in {"TEX_NOISE", "TEX_VORONOI", "TEX_WHITE_NOISE", "TEX_MAGIC"}
-            return self._pattern(_PATTERNS["TEX_WHITE_NOISE" if is_coloured and node.type == "TEX_VORONOI" else node.type],
-                                 3 if is_coloured else 1)
+            is_coloured = output.type == "RGBA" and node.type in _COLOURED
+            # cells of a Voronoi Texture have any colours
+            kind = "TEX_WHITE_NOISE" if is_coloured and node.type == "TEX_VORONOI" else node.type
+            return self._pattern(_PATTERNS[kind], 3 if is_coloured else 1)
         return None
 
     def _pattern(self, quantiles: Callable[[np.ndarray], np.ndarray], channels: int = 1) -> np.ndarray:

@@ -88,6 +88,8 @@ def _sun_in(view: _View, around: np.ndarray, name: str) -> _Sun | None:
 def _sun_at(direction: np.ndarray, half_angle_rad: float, look: Look, form: ViewFormat, name: str) -> _Sun | None:
     """The sun within an angle of a direction; None where nothing stands out."""
     wide = _view_towards(direction, half_angle_rad, look, form)
+    if not wide.is_rim.any():                    # a picture of few pixels, whose views have no more
+        return None
     sun = _sun_in(wide, np.median(wide.radiance[wide.is_rim], axis=0), name)
     if sun is None or sun.lamp.angle_rad > WIDEST_RAD:
         return None

@@ -146,7 +146,7 @@ def mean_albedo_table(keeps_energy: bool = True) -> np.ndarray:
 
 
 @device_jit
-def mean_rise(cos_fixed, alpha, f0, albedos, means):
+def mean_of_lobe(cos_fixed, alpha, f0, albedos, means):
     """What a lobe reflects in the mean over all directions, over what it reflects towards `fixed`.
 
     `albedos` is `albedo_table()` and `means` `mean_albedo_table()`.
@@ -167,7 +167,7 @@ def matt_share(reflectance, cos_fixed, alpha, f0, albedos, means):
     much too dark, or too bright, for the others. `means` is `mean_albedo_table()`. Metals have nothing below: 1.
     """
     reflectance = min(reflectance, f32(0.9))
-    mean = reflectance * mean_rise(cos_fixed, alpha, f0, albedos, means)
+    mean = reflectance * mean_of_lobe(cos_fixed, alpha, f0, albedos, means)
     dielectric = min(max((f32(0.2) - f0) / f32(0.12), ZERO), ONE)
     return ONE + dielectric * ((ONE - min(mean, f32(0.9))) / (ONE - reflectance) - ONE)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .brdf import fit_lobe, lobe_albedos, mean_rise
+from .brdf import fit_lobe, lobe_albedos, mean_of_lobe
 from .jit import borrowed, pixel_jit
 from .reflect import WEIGHT
 from .screen import view_vector
@@ -72,7 +72,7 @@ def mean_colours(begin, end, s, mask, roughness, known_f0, specular, albedos, me
             cosine = max(dot(load_pixel(s.normal_ws, i, j), view_vector(s, load_pixel(s.position_ws, i, j))), ZERO)
             alpha = roughness[i, j] * roughness[i, j]
             f0, _ = fit_lobe(reflectance, cosine, alpha, albedos, known_f0[i, j])
-            mean = mean_rise(cosine, alpha, f0, albedos, means)
+            mean = mean_of_lobe(cosine, alpha, f0, albedos, means)
             for c in range(3):
                 out[i, j, c] = specular[i, j, c] * mean
 

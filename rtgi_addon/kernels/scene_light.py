@@ -117,23 +117,21 @@ def _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m):
 @inline_jit
 def _from_above(bvh, around, stack, p, n, albedo, offset_m, reach_m, u, v, pick):
     """Radiance that a matt surface sends back of what shines, by one ray: by the cosine, or every second one aimed there."""
-    shines, share = around.shines, ZERO
-    if has_aim(shines):
-        pick, share = pick * f32(2), HALF
-        if pick < ONE:
-            way, d, aimed, given = aim_at(shines, p, around.blurred_sky, reach_m, u, v, pick)
-            cosine = dot(n, d)
-            if not aimed > ZERO or not cosine > ZERO:
-                return Vec3(ZERO, ZERO, ZERO)
-            start = begun(lifted(p, n, offset_m), d, offset_m)
-            weight = cosine * INV_PI / (HALF * (aimed + cosine * INV_PI))
-            weight *= visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO))
-            return Vec3(weight * given.x * albedo.x, weight * given.y * albedo.y, weight * given.z * albedo.z)
+    aims = has_aim(around.shines)
+    if aims and pick < HALF:
+        way, d, aimed, given = aim_at(around.shines, p, around.blurred_sky, reach_m, u, v, f32(2) * pick)
+        cosine = dot(n, d)
+        if not aimed > ZERO or not cosine > ZERO:
+            return Vec3(ZERO, ZERO, ZERO)
+        start = begun(lifted(p, n, offset_m), d, offset_m)
+        weight = cosine * INV_PI / (HALF * (aimed + cosine * INV_PI))
+        weight *= visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO))
+        return Vec3(weight * given.x * albedo.x, weight * given.y * albedo.y, weight * given.z * albedo.z)
     tangent, bitangent = tangent_frame(n)
     d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
     t, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
     given, aimed = _shining(bvh, around, slot, d, t, around.blurred_sky)
-    if share > ZERO:
+    if aims:
         cosine = dot(n, d) * INV_PI
         albedo = scaled(albedo, cosine / (HALF * (aimed + cosine)))
     return Vec3(given.x * albedo.x, given.y * albedo.y, given.z * albedo.z)

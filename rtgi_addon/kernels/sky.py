@@ -15,7 +15,7 @@ from .octahedron import table_at
 from .sampling import cosine_hemisphere, dither, r2_sequence
 from .vec3 import ONE, ZERO, Vec3, begun, dot, f32, lifted, load, load_pixel, scaled, tangent_frame, to_world
 
-GUIDE_ROWS, GUIDE_COLUMNS = 12, 24      # cells of a guide, 9 degrees wide: a window seen from across a room
+GUIDE_ROWS, GUIDE_COLUMNS = 12, 24      # cells of a guide, 12 degrees across: finer ones learn too slowly
 
 
 @device_jit

@@ -93,6 +93,20 @@ def test_an_even_and_a_black_world_have_no_sun():
     assert suns == () and rest is black
 
 
+@pytest.mark.parametrize("texels", [1, 4, 36])
+def test_views_of_few_pixels_find_no_sun_or_a_rough_one(texels):
+    bright = unit(0.3, -0.5, 0.8), math.radians(4), np.full(3, 2000.0)
+
+    def look(camera):
+        rays = camera.rays_vs()[1]
+        return radiance_of(rays / np.linalg.norm(rays, axis=-1, keepdims=True) @ camera.world_from_view[:3, :3].T, [bright])
+
+    direction, _ = texel_directions(16, 32)
+    radiance = radiance_of(direction, [bright])
+    rest, suns = part_suns(radiance, look, ViewFormat(texels), "sun", [bright[:2]])
+    assert np.isfinite(rest).all() and all(np.isfinite(sun.power).all() for sun in suns)
+
+
 def test_light_is_neither_lost_nor_made():
     towards, angle = unit(0.3, -0.5, 0.6), math.radians(4)
     whole, rest, suns = parted([(towards, angle, np.full(3, 2000.0))], (512, 1024))
