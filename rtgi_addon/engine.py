@@ -251,20 +251,20 @@ class RTGIEngine(bpy.types.RenderEngine):
             gbuffer = views.to_gbuffer(self._raw, camera)
         context.checkpoint()
         with stages("world"):
-            world, found = self._capture_world(views, width, height)
-            self._lights += found
+            world, suns_of_world = self._capture_world(views, width, height)
+            lights = self._lights + suns_of_world
         materials = self._materials.materials
-        frame = Frame(camera, gbuffer, self._lights, (), geometry, materials, world, self._origin_ws, self._warnings)
+        frame = Frame(camera, gbuffer, lights, (), geometry, materials, world, self._origin_ws, self._warnings)
         low, high = geometry.bounds_ws
-        facts = planner.SceneFacts(self._lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission)
+        facts = planner.SceneFacts(lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission)
         plan = planner.plan_capture(facts, settings, (low + high) / 2, float(np.linalg.norm(high - low)) / 2)
         captured = []
         with stages("bvh"), kernel_session(settings.threads):
             bvh = context.bvh(geometry)
             around = surroundings_of(frame, geometry) if plan.cast_views else None
         for number, i in enumerate((*plan.cycles_views, *plan.cast_views)):
-            light = self._lights[i]
-            context.checkpoint(f"View of {light.name}", 0.1 + 0.3 * number / len(self._lights))
+            light = lights[i]
+            context.checkpoint(f"View of {light.name}", 0.1 + 0.3 * number / len(lights))
             cast = i in plan.cast_views
             texels = min(plan.view_texels, planner.CAST_VIEW_TEXELS) if cast else plan.view_texels
             form = ViewFormat(texels) if cast else views.format_of_views(texels)
@@ -284,7 +284,7 @@ class RTGIEngine(bpy.types.RenderEngine):
                 if _keeps_views:
                     self._kept.put(light, light_camera, near_m, seen)
                 captured.append(light_views.view_of(i, light, light_camera, seen))
-        return Frame(camera, gbuffer, self._lights, tuple(captured), geometry, materials, world, self._origin_ws,
+        return Frame(camera, gbuffer, lights, tuple(captured), geometry, materials, world, self._origin_ws,
                      self._warnings), plan
 
     def _capture_world(self, views, width, height):

@@ -6,10 +6,11 @@ Derivations are in docs/radiometry.md.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from .frame import Light, LightKind
+from .frame import Geometry, Light, LightKind
 from .transforms import Camera, Projection
 
 
@@ -66,6 +67,25 @@ def spread_factor(cos_angle: np.ndarray, spread_rad: float) -> np.ndarray:
     cos_angle = np.maximum(cos_angle, 1e-6)
     tan_angle = np.sqrt(np.maximum(0, 1 - cos_angle**2)) / cos_angle
     return np.maximum(math.tan(half) - tan_angle, 0) / (math.tan(half) - half)
+
+
+class Emitters(NamedTuple):
+    """Emissive triangles of a scene, float64: corners (E, 3, 3) m; across (E, 3) m2, the vector product of two edges;
+    radiance (E, 3) W/(m2 sr); power (E,) W/sr, its mean over the colours times the area."""
+
+    corners: np.ndarray
+    across: np.ndarray
+    radiance: np.ndarray
+    power: np.ndarray
+
+
+def find_emitters(geometry: Geometry) -> Emitters:
+    """The triangles that shine; what is not finite gives nothing."""
+    index = np.flatnonzero(geometry.emission.any(1))
+    corners, radiance = geometry.corners_ws[index].astype(np.float64), geometry.emission[index].astype(np.float64)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    power = np.nan_to_num(radiance.mean(1) * 0.5 * np.linalg.norm(across, axis=1), nan=0.0, posinf=0.0)
+    return Emitters(corners, across, radiance, power)
 
 
 def texel_directions(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:

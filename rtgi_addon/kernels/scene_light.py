@@ -106,12 +106,9 @@ def _shown_emission(own, seen, share):
 
 @inline_jit
 def _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m):
-    """Radiance of the world or of an emissive surface that p, of normal n, sees in direction d."""
-    _, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
-    if slot >= 0:
-        return load(around.emission, bvh.source[slot])
-    row, column = sky_texel(d, sky.shape[0], sky.shape[1])
-    return load_pixel(sky, row, column)
+    """`_shining` of what p, of normal n, sees in direction d."""
+    t, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
+    return _shining(bvh, around, slot, d, t, sky)
 
 
 @inline_jit
@@ -129,8 +126,7 @@ def _from_above(bvh, around, stack, p, n, albedo, offset_m, reach_m, u, v, pick)
         return Vec3(weight * given.x * albedo.x, weight * given.y * albedo.y, weight * given.z * albedo.z)
     tangent, bitangent = tangent_frame(n)
     d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
-    t, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
-    given, aimed = _shining(bvh, around, slot, d, t, around.blurred_sky)
+    given, aimed = _shines(bvh, around, stack, p, n, d, around.blurred_sky, offset_m, reach_m)
     if aims:
         cosine = dot(n, d) * INV_PI
         albedo = scaled(albedo, cosine / (HALF * (aimed + cosine)))
@@ -150,7 +146,7 @@ def _from_lobe(bvh, around, stack, p, n, towards, specular, roughness, f0, albed
         f0, gain = fit_lobe(reflectance, cosine, alpha, albedos, f0)
         weight *= gain * fresnel(max(dot(normalized_or(add(towards, d), n), towards), ZERO), f0) / fresnel(cosine, f0)
     sky, weight = around.blurred_sky if roughness > BLURRED else around.sky, weight / chance
-    given = _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m)
+    given, _ = _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m)
     return Vec3(weight * given.x * specular.x, weight * given.y * specular.y, weight * given.z * specular.z)
 
 

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from ..core.frame import Frame, Geometry
+from ..core.radiometry import find_emitters
 from ..core.techniques import EmissionParams
 from ..kernels.clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, ROWS, TO_LIGHT, cluster_texels
 from ..kernels.gather import gather_visible
@@ -29,12 +30,7 @@ def emitter_table(geometry: Geometry, points: int = POINTS) -> np.ndarray:
     Without emissive triangles it has no columns. Triangles are drawn by radiance times area, in order, so that each gets the
     points that its power asks for; a point's place in its triangle is the next of an even sequence.
     """
-    radiance = geometry.emission.astype(np.float64)
-    edges = geometry.corners_ws[:, 1:].astype(np.float64) - geometry.corners_ws[:, :1]
-    across = np.cross(edges[:, 0], edges[:, 1])
-    double_area = np.linalg.norm(across, axis=1)
-    brightness = radiance.mean(1)
-    power = np.nan_to_num(brightness * double_area, nan=0.0, posinf=0.0)
+    corners, across, radiance, power = find_emitters(geometry)
     total = power.sum()
     if not total > 0:
         return np.empty((ROWS, 0), np.float32)
@@ -44,9 +40,10 @@ def emitter_table(geometry: Geometry, points: int = POINTS) -> np.ndarray:
     a, b = 0.7548776662466927 * index % 1, 0.5698402909980532 * index % 1
     folded = a + b > 1
     a, b = np.where(folded, 1 - a, a), np.where(folded, 1 - b, b)
-    place = geometry.corners_ws[of, 0] + a[:, None] * edges[of, 0] + b[:, None] * edges[of, 1]
-    normal = across[of] / double_area[of, None]
-    flux = radiance[of] / brightness[of, None] * (math.pi * 0.5 * total / points)
+    first, second, third = corners[of].swapaxes(0, 1)
+    place = first + a[:, None] * (second - first) + b[:, None] * (third - first)
+    normal = across[of] / np.linalg.norm(across[of], axis=1, keepdims=True)
+    flux = radiance[of] / radiance[of].mean(1, keepdims=True) * (math.pi * total / points)
     table = np.zeros((ROWS, 2 * points), np.float32)
     table[POSITION:POSITION + 3] = np.concatenate([place, place]).T
     table[NORMAL:NORMAL + 3] = np.concatenate([normal, -normal]).T

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ..core.frame import Frame, Geometry, Light, Material
+from ..core.radiometry import find_emitters
 from ..kernels.brdf import GAIN_STEPS, albedo_table
 from ..kernels.bvh import Bvh
 from ..kernels.lit_hits import Lights
@@ -70,11 +71,8 @@ def shines_of(geometry: Geometry, sky: np.ndarray) -> Shines:
 
     What surrounds a place is met by every ray, and aiming would only add noise.
     """
-    index = np.flatnonzero(geometry.emission.any(1))
-    corners, radiance = geometry.corners_ws[index].astype(np.float32), geometry.emission[index].astype(np.float32)
-    edges = corners[:, 1:].astype(np.float64) - corners[:, :1]
-    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    power = np.nan_to_num(radiance.mean(1, dtype=np.float64) * area, nan=0.0, posinf=0.0)
+    corners, across, radiance, power = find_emitters(geometry)
+    area = 0.5 * np.linalg.norm(across, axis=1)
     total, (width, depth, height) = float(power.sum()), np.subtract(*geometry.bounds_ws[::-1]).astype(np.float64)
     if not total > 0 or area.sum() > SMALL * 2 * (width * depth + depth * height + height * width):
         total = 0.0
@@ -85,7 +83,7 @@ def shines_of(geometry: Geometry, sky: np.ndarray) -> Shines:
         if float(density.max()) * 4 * math.pi > PEAK:
             sky_cdf, sky_density = cdf, density
     sky_share = 0.0 if not len(sky_cdf) else (0.5 if total > 0 else 1.0)
-    return Shines(np.cumsum(power) / max(total, 1e-300), np.ascontiguousarray(corners), np.ascontiguousarray(radiance),
+    return Shines(np.cumsum(power) / max(total, 1e-300), corners.astype(np.float32), radiance.astype(np.float32),
                   np.float32(1 / total if total > 0 else 0), sky_cdf, sky_density, np.float32(sky_share))
 
 

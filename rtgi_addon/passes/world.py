@@ -90,8 +90,11 @@ def _guide_of(out: np.ndarray, cells: np.ndarray, values: np.ndarray, row: np.nd
     `out` (M, 5), `cells` and `values` (M, K) are of `gather_sky`. Squares that see much of the sky, or none, have no guide,
     nor do those that see it here and there: where one point sees it others do not.
     """
-    across, down = int(column.max(initial=0)) // GUIDE_PX + 1, int(row.max(initial=0)) // GUIDE_PX + 1
-    square, kinds = row // GUIDE_PX * across + column // GUIDE_PX, GUIDE_ROWS * GUIDE_COLUMNS
+    # a call has a band of a large picture: only the squares of that are counted
+    row, column = row // GUIDE_PX, column // GUIDE_PX
+    row = row - (row.min() if len(row) else 0)
+    across, down = int(column.max(initial=0)) + 1, int(row.max(initial=0)) + 1
+    square, kinds = row * across + column, GUIDE_ROWS * GUIDE_COLUMNS
 
     def sums(weights: np.ndarray) -> np.ndarray:
         return np.bincount(square, weights, across * down)
