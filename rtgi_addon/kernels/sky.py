@@ -102,17 +102,19 @@ def _gather_sky(begin, end, position, normal, places, radiance, cdf, density, bv
         guided = count // 2 if group >= 0 else 0
         plain = count - guided if group >= 0 else rays
         by_map = int(f32(plain) * map_share)
+        # of each sort as many of the first rays as of the last, so that those are a fair sample
+        first_map = 0 if group >= 0 else int(f32(first) * map_share)
+        last_map = by_map if group >= 0 else int(f32(last) * map_share)
+        mapped, first_cosine = guided + last_map - first_map, 0 if group >= 0 else first - first_map
+        red, green, blue, given, squares = ZERO, ZERO, ZERO, ZERO, ZERO
         for k in range(count):
-            # rays by the map lie evenly among those by the cosine, so that the first few are a fair sample
-            j = k - guided if group >= 0 else first + k
-            before, after = int(f32(j) * map_share), int(f32(j + 1) * map_share)
             # the points of a sort follow each other, and none is one that the guide was made by
-            i = k if k < guided else (before if after > before else by_map + j - before)
+            i = k if k < guided else (first_map + k - guided if k < mapped else by_map + first_cosine + k - mapped)
             u, v = r2_sequence(i + (rays if group >= 0 else 0), shift_u, shift_v)
             if k < guided:
                 d = _guided_direction(find_first(guide.cdf[group], (f32(k) + shift_w) / f32(guided)), u, v)
-            elif after > before:
-                q = find_first(cdf, (f32(before) + shift_w) / f32(by_map))
+            elif k < mapped:
+                q = find_first(cdf, (f32(i) + shift_w) / f32(by_map))
                 d = sky_direction(q // width, q % width, u, v, height, width)
             else:
                 d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
@@ -121,20 +123,21 @@ def _gather_sky(begin, end, position, normal, places, radiance, cdf, density, bv
                 continue
             row, column = sky_texel(d, height, width)
             pdf = f32(by_map) * density[row, column] + f32(plain - by_map) * cosine * INV_PI
-            cell = _guide_cell(d)
             if group >= 0:
-                pdf += f32(guided) * guide.density[group, cell]
+                pdf += f32(guided) * guide.density[group, _guide_cell(d)]
             weight = cosine / pdf
             r, g, b = radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2]
             mean = f32(1 / 3) * weight * (r + g + b)
-            out[m, 3] += mean
+            given += mean
             if mean > ZERO:
                 arrives = visibility(bvh, stack, begun(origin, d, offset_m), scaled(d, reach_m))
                 weight, mean = weight * arrives, mean * arrives
-                out[m, 0], out[m, 1], out[m, 2] = out[m, 0] + weight * r, out[m, 1] + weight * g, out[m, 2] + weight * b
-                out[m, 4] += mean * mean
-                if k < cells.shape[1] and mean > ZERO:
-                    cells[m, k], values[m, k] = cell, mean
+                red, green, blue = red + weight * r, green + weight * g, blue + weight * b
+                squares += mean * mean
+                if first == 0 and k < cells.shape[1] and mean > ZERO:
+                    cells[m, k], values[m, k] = _guide_cell(d), mean
+        out[m, 0], out[m, 1], out[m, 2] = out[m, 0] + red, out[m, 1] + green, out[m, 2] + blue
+        out[m, 3], out[m, 4] = out[m, 3] + given, out[m, 4] + squares
 
 
 def gather_sky(position, normal, places, radiance, cdf, density, bvh, rays, map_share, first, last, guide, offset_m, reach_m,
@@ -147,7 +150,7 @@ def gather_sky(position, normal, places, radiance, cdf, density, bvh, rays, map_
     `radiance` (H, W, 3) W/(m2 sr); `cdf` (H W,) float64 running sum of brightness times solid angle, ending at 1; `density`
     (H, W) float32 1/sr of drawing a direction by it. Of the rays that are not guided the share `map_share` is drawn by the
     map, the rest by cosine; all are weighed by the balance heuristic (Veach 1997, Eq. 9.8). `cells` (M, K) int16 and
-    `values` (M, K) get the guide's cell and the light of the first K rays that arrive.
+    `values` (M, K) get the guide's cell and the light of those of the first K rays that arrive.
     """
     _gather_sky(len(position), position, normal, places, radiance, cdf, density, bvh, rays, map_share, first, last, guide,
                 offset_m, reach_m, seed, out, cells, values)
