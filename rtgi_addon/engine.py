@@ -231,7 +231,7 @@ class RTGIEngine(bpy.types.RenderEngine):
 
     def _capture(self, depsgraph, settings, context, stages):
         """Frame of this view layer: triangles, the camera's view, each light's view, the world."""
-        from . import light_views, planner
+        from . import emitter_lamps, light_views, planner
         from .kernels.jit import kernel_session
         from .passes.surroundings import surroundings_of
 
@@ -254,14 +254,17 @@ class RTGIEngine(bpy.types.RenderEngine):
             world, suns_of_world = self._capture_world(views, width, height)
             lights = self._lights + suns_of_world
         materials = self._materials.materials
+        with stages("bvh"), kernel_session(settings.threads):
+            bvh = context.bvh(geometry)
+            if settings.params["emission"].as_lamps:
+                geometry, shining = emitter_lamps.part_emitters(geometry, materials, bvh)
+                lights += shining
         frame = Frame(camera, gbuffer, lights, (), geometry, materials, world, self._origin_ws, self._warnings)
         low, high = geometry.bounds_ws
         facts = planner.SceneFacts(lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission)
         plan = planner.plan_capture(facts, settings, (low + high) / 2, float(np.linalg.norm(high - low)) / 2)
         captured = []
-        with stages("bvh"), kernel_session(settings.threads):
-            bvh = context.bvh(geometry)
-            around = surroundings_of(frame, geometry) if plan.cast_views else None
+        around = surroundings_of(frame, geometry) if plan.cast_views else None
         for number, i in enumerate((*plan.cycles_views, *plan.cast_views)):
             light = lights[i]
             context.checkpoint(f"View of {light.name}", 0.1 + 0.3 * number / len(lights))

@@ -9,12 +9,11 @@ import numpy as np
 from .core.frame import Frame, GBuffer, Light, LightKind, LightView
 from .core.radiometry import texel_flux
 from .core.transforms import Camera, Projection, ViewFormat
-from .kernels.brdf import albedo_table, mean_albedo_table
 from .kernels.bvh import Bvh
 from .kernels.pilot import lit_hits
 from .kernels.scene_light import Surroundings
-from .kernels.scene_view import see_triangles
 from .kernels.vec3 import f32, vector
+from .passes.surroundings import seen_by_rays
 
 PILOT_PIXELS, PILOT_RAYS = 2048, 12
 TRIM = 0.0015               # share of the pilot's points cut off at each edge of a sun's view
@@ -108,19 +107,9 @@ def cast_view(light: Light, camera: Camera, frame: Frame, bvh: Bvh, around: Surr
 
     `around`: the frame's, by `passes.surroundings`; the same for all lamps.
     """
-    rotation, shape = camera.world_from_view[:3, :3].T, (camera.height_px, camera.width_px)
-    origin, direction = ((rays.reshape(-1, 3) @ rotation) for rays in camera.rays_vs())
-    near, far = clip_range_m(light, camera, frame)
-    number = len(origin)
-    depth, normal = np.full(number, np.inf, np.float32), np.tile(np.float32([0, 0, 1]), (number, 1))
-    position, albedo, specular, emission = (np.zeros((number, 3), np.float32) for _ in range(4))
-    roughness, f0 = np.ones(number, np.float32), np.zeros(number, np.float32)
-    see_triangles(number, (origin + camera.position_ws).astype(np.float32), direction.astype(np.float32), bvh,
-                  around, albedo_table(frame.keeps_energy),
-                  mean_albedo_table(frame.keeps_energy), f32(near), f32(far), depth, position, normal, albedo, specular,
-                  roughness, f0)
-    return GBuffer(*(values.reshape(*shape, *values.shape[1:])
-                     for values in (depth, position, normal, albedo, specular, roughness, emission, f0)))
+    rotation = camera.world_from_view[:3, :3].T
+    origin, direction = (rays @ rotation for rays in camera.rays_vs())
+    return seen_by_rays(origin + camera.position_ws, direction, frame, bvh, around, clip_range_m(light, camera, frame))
 
 
 def view_of(light_index: int, light: Light, camera: Camera, gbuffer: GBuffer) -> LightView:

@@ -60,6 +60,8 @@ class Light:
     is_sphere : bool
         A POINT or SPOT with a radius is a sphere; otherwise a disk that turns towards each receiver (Blender's default,
         "soft falloff").
+    is_surface : bool
+        It stands for an emissive surface of the scene, whose triangles no longer shine; the picture shows it still.
     """
 
     name: str
@@ -77,6 +79,7 @@ class Light:
     diffuse_factor: float = 1.0
     glossy_factor: float = 1.0
     is_sphere: bool = False
+    is_surface: bool = False
 
     @property
     def position_ws(self) -> np.ndarray:

@@ -51,6 +51,8 @@ class EmissionParams(Params):
     lattice_px: int = param(
         2, "Distance between gather points; pixels between them are interpolated where the surface is smooth",
         low=1, high=16, soft_high=8, unit="px")
+    as_lamps: bool = param(
+        True, "Rectangles, disks and balls that give much of the light are lit with as lamps, with their shadows and bounce")
 
 
 @dataclass(frozen=True)

@@ -69,13 +69,13 @@ def _as_if_from(w, n, m):
 
 @pixel_jit
 def fill_texels(begin, end, table, first, reflects, position, normal, face, albedo, specular, roughness, known_f0, flux,
-                light_position, to_sun, is_sun, albedos, means, use_glossy, sharpest, across, radius):
+                origin, to_sun, is_sun, albedos, means, use_glossy, sharpest, across, radius):
     """Write the texels of one view that `reflects` (H, W) marks to columns first[row] + ... of `table`, row by row.
 
     A surface of shading normal `normal` (H, W, 3) is lit as that says, over the area that its triangle, of normal `face`,
-    turns to the lamp, and sends from there. Lobes of an alpha below `sharpest` are left out. `radius` (N,) gets the radius
-    in m of the disk that has the texel's area on the surface; `across` (H, W) is the texel's solid angle, or its area in m2
-    where the lamp is a sun.
+    turns to the lamp, and sends from there. The light comes from the places `origin` (H, W, 3), or from `to_sun`. Lobes of
+    an alpha below `sharpest` are left out. `radius` (N,) gets the radius in m of the disk that has the texel's area on the
+    surface; `across` (H, W) is the texel's solid angle, or its area in m2 where the lamp is a sun.
     """
     height, width = roughness.shape
     for i in range(begin, end):
@@ -87,11 +87,11 @@ def fill_texels(begin, end, table, first, reflects, position, normal, face, albe
             is_flat = dot(n, m) > SAME_NORMAL
             if is_flat:                          # then the receivers' normals are the same to the last digit
                 m = n
-            w = to_sun if is_sun else normalized_or(sub(light_position, p), n)
+            w = to_sun if is_sun else normalized_or(sub(load_pixel(origin, i, j), p), n)
             alpha = roughness[i, j] * roughness[i, j]
             has_lobe = use_glossy and alpha >= sharpest
             alpha = min(max(alpha, MIN_ALPHA), ONE)
-            d, cosine = sub(light_position, p), min(max(dot(n, w), ZERO), f32(0.999))
+            d, cosine = sub(load_pixel(origin, i, j), p), min(max(dot(n, w), ZERO), f32(0.999))
             of_face = max(dot(m, w), LEAST_COSINE)
             radius[k] = math.sqrt(across[i, j] * (ONE if is_sun else dot(d, d)) * INV_PI / of_face)
             lit = min(max(dot(n, w), ZERO) / of_face, MOST_LIT) if not is_flat else ONE

@@ -324,6 +324,15 @@ def gain_of_size(begin, end, lamp, position, normal, most, out):
         out[k] = min(whole / centre, most) if centre > ZERO else ONE
 
 
+@pixel_jit
+def irradiance_at(begin, end, lamp, position, normal, out):
+    """Irradiance W/m2 (N,) of a lamp of unit strength at points (N, 3) with unit normals (N, 3), nothing in between."""
+    lamp, = borrowed((lamp,))
+    for k in range(begin, end):
+        n = load(normal, k)
+        out[k], _ = unshadowed(lamp, load(position, k), n, n, ONE, ONE, ZERO, False, HALF, HALF)
+
+
 @device_jit
 def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, shift_v):
     """(irradiance, integral of radiance x glossy lobe) at p from a lamp of unit strength, nothing standing between.

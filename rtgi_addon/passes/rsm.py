@@ -41,6 +41,7 @@ from .lattice import gather_in_tiles, gather_on_lattice
 from .screen import is_shown
 from .surroundings import reach_out_m
 from .uneven_texels import look_through
+from .wide_lamps import is_wide, spread_texels
 
 MAX_TEXELS = 65536          # texels that clusters are made of; more only make the sums over near clusters slower
 MOST_GAIN = f32(4)          # of a lamp's size: at grazing places its centre gives nearly nothing
@@ -80,7 +81,8 @@ def texel_table(frame: Frame, use_glossy: bool = True) -> np.ndarray:
 class _Texels(NamedTuple):
     """Texels of one lamp, (H, W): `is_wanted` bool, their flux (H, W, 3) W, and solid angle in sr or a sun's area in m2.
 
-    faces_ws (H, W, 3): normals of their triangles, or shading normals again where those are not known.
+    faces_ws (H, W, 3): normals of their triangles, or shading normals again where those are not known. origin_ws (H, W, 3):
+    where their light comes from; not used of a sun.
     """
 
     light: Light
@@ -89,27 +91,37 @@ class _Texels(NamedTuple):
     is_wanted: np.ndarray
     flux: np.ndarray
     across: np.ndarray
+    origin_ws: np.ndarray
 
 
 def _texels_of(frame: Frame, view: LightView, flux: np.ndarray, use_glossy: bool, sharpest: float,
                bvh: Bvh | None, reach_m: float) -> list[_Texels]:
-    """The texels of a view that reflect, and with a BVH in place of uneven ones the parts of them that do."""
+    """The texels of a view that reflect, and with a BVH in place of uneven ones the parts of them that do.
+
+    With a BVH the light of a wide lamp starts all over it.
+    """
     g, light = view.gbuffer, frame.lights[view.light_index]
+    if bvh is not None and is_wide(view, light):
+        wide = spread_texels(frame, view, bvh)
+        wanted = is_reflecting(wide.surfaces, wide.flux, light, use_glossy, sharpest)
+        return [_Texels(light, wide.surfaces, wide.surfaces.normal_ws, wanted, wide.flux, wide.across, wide.origin_ws)]
     is_sun = light.kind is LightKind.SUN
     across = np.full((1, 1), np.prod(view.camera.pixel_size)) if is_sun else texel_solid_angle(view.camera)
     across = np.broadcast_to(across, g.shape).astype(np.float32)
     reflects = is_reflecting(g, flux, light, use_glossy, sharpest)
+    origin_ws = np.empty_like(g.position_ws)
+    origin_ws[:] = light.position_ws
     if bvh is None:
-        return [_Texels(light, g, g.normal_ws, reflects, flux, across)]
+        return [_Texels(light, g, g.normal_ws, reflects, flux, across, origin_ws)]
     d = g.position_ws - view.camera.position_ws.astype(np.float32)
     size_m = np.sqrt(across if is_sun else across * np.einsum("hwc,hwc->hw", d, d))
     # also where the middle reflects nothing: the rest of a texel may
     found = look_through(view, brightest(flux) > 0, size_m, bvh, reach_m)
     flux_of_parts = np.float32(1 / PARTS) * flux.reshape(-1, 3)[None, found.whole]
     wanted = is_reflecting(found.parts, flux_of_parts, light, use_glossy, sharpest)
-    return [_Texels(light, g, found.faces_ws, reflects & ~found.is_split, flux, across),
+    return [_Texels(light, g, found.faces_ws, reflects & ~found.is_split, flux, across, origin_ws),
             _Texels(light, found.parts, found.part_faces_ws, wanted, flux_of_parts,
-                    np.float32(1 / PARTS) * across.ravel()[None, found.whole])]
+                    np.float32(1 / PARTS) * across.ravel()[None, found.whole], origin_ws.reshape(-1, 3)[None, found.whole])]
 
 
 def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: bool, sharpest: float = 0.0,
@@ -125,10 +137,10 @@ def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: boo
               for part in _texels_of(frame, view, flux, use_glossy, sharpest, bvh, reach_m)]
     number = sum(int(np.count_nonzero(part.is_wanted)) for part in texels)
     table, radius_m, offset = np.empty((ROWS, number), np.float32), np.empty(number, np.float32), 0
-    for light, g, faces_ws, reflects, flux, across in texels:
+    for light, g, faces_ws, reflects, flux, across, origin_ws in texels:
         count, is_sun = np.count_nonzero(reflects, axis=1), light.kind is LightKind.SUN
         fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, faces_ws,
-                    g.albedo, g.specular, g.roughness, g.f0, flux, vector(light.position_ws), vector(-light.direction_ws),
+                    g.albedo, g.specular, g.roughness, g.f0, flux, origin_ws, vector(-light.direction_ws),
                     is_sun, albedo_table(frame.keeps_energy), mean_albedo_table(frame.keeps_energy), use_glossy,
                     f32(sharpest), across, radius_m)
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
@@ -246,7 +258,8 @@ def compute_rsm(frame: Frame, params: RsmParams, context: Context, seed: int = 0
 
     Notes
     -----
-    Linear in the lights' power; no light gives exactly zero. Half shadows do not enter: what a lamp's centre sees is lit.
+    Linear in the lights' power; no light gives exactly zero. Half shadows do not enter: what a lamp's centre sees is lit. Not
+    so for lamps that are wide beside their distance (`wide_lamps`).
     Light that arrives at a texel after more than one segment is not there: this is one bounce.
     """
     return _METHODS[params.method](frame, params, context, seed)

@@ -36,7 +36,7 @@ from ..kernels.shines import has_aim
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
 from .screen import MIRROR_ROUGHNESS, screen_of
-from .surroundings import leave_surfaces, pack_lights, reach_out_m, surroundings_of
+from .surroundings import leave_surfaces, pack_lights, reach_out_m, shining_pixels, surroundings_of
 
 NEGLIGIBLE = 1e-3           # Glossy Color below it is left out: a thousandth of what is reflected
 SLACK_PX = 0.5              # thickness of surfaces where the triangles know better; thicker ones stand in the way of rays
@@ -160,8 +160,8 @@ class _Tracer:
                                 self._looks_at_picture)
         lit = context.light.get(Transport.DIRECT_DIFFUSE)
         irradiance = np.zeros(g.shape, np.float32) if lit is None else mean_of(lit)
-        gloss = Gloss(leave_surfaces(frame, context, _DIRECT), g.emission, irradiance, g.specular, g.roughness, g.f0,
-                      albedo_table(frame.keeps_energy))
+        gloss = Gloss(leave_surfaces(frame, context, _DIRECT), shining_pixels(frame), irradiance, g.specular, g.roughness,
+                      g.f0, albedo_table(frame.keeps_energy))
         bvh = context.bvh(frame.geometry) if has_rays else build_bvh(np.zeros((0, 3, 3), np.float32))
         reach_m = reach_out_m(frame, bvh)
         fade_px = params.edge_fade * min(g.shape)

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 
-from ..core.frame import Frame, Geometry, Light, Material
+from ..core.frame import Frame, GBuffer, Geometry, Light, LightKind, Material
 from ..core.radiometry import find_emitters
-from ..kernels.brdf import GAIN_STEPS, albedo_table
+from ..kernels.brdf import GAIN_STEPS, albedo_table, mean_albedo_table
 from ..kernels.bvh import Bvh
 from ..kernels.lit_hits import Lights
 from ..kernels.scene_light import Surroundings
+from ..kernels.scene_view import see_triangles
 from ..kernels.shines import Shines
 from .base import Context, Transport
 from .direct import pack_lamp
@@ -27,6 +28,24 @@ def leave_surfaces(frame: Frame, context: Context, arrived: tuple[Transport, ...
     present = [context.light[t] for t in arrived if t in context.light]
     out = frame.gbuffer.albedo * np.float32(1 / math.pi)
     out *= sum(present[1:], start=present[0]) if present else np.float32(0)
+    return out
+
+
+def shining_pixels(frame: Frame) -> np.ndarray:
+    """(H, W, 3) float32 W/(m2 sr): the picture's emission without that of surfaces which lamps stand for.
+
+    What these give to glossy surfaces is the lamps' own light.
+    """
+    g = frame.gbuffer
+    out = g.emission
+    for light in (light for light in frame.lights if light.is_surface):
+        out = out.copy() if out is g.emission else out
+        rows, columns = np.nonzero(g.mask & out.any(-1))
+        size_m = [2 * light.radius_m] * 3 if light.kind is LightKind.POINT else [light.size_x_m, light.size_y_m, 0]
+        half = np.array(size_m) / 2
+        local = (g.position_ws[rows, columns] - light.position_ws) @ light.world_from_light[:3, :3]
+        is_its = (np.abs(local) < half + 2e-3 * half.max()).all(1)
+        out[rows[is_its], columns[is_its]] = 0
     return out
 
 
@@ -64,6 +83,24 @@ def surroundings_of(frame: Frame, geometry: Geometry) -> Surroundings:
         np.ascontiguousarray(albedo, np.float32), np.ascontiguousarray(geometry.emission, np.float32), material,
         substance_table(frame.materials or (Material("none"),)), sky, blurred, bool(sky.any() or geometry.emission.any()),
         shines_of(geometry, blurred))
+
+
+def seen_by_rays(origin_ws: np.ndarray, direction_ws: np.ndarray, frame: Frame, bvh: Bvh, around: Surroundings,
+                 reach: tuple[float, float]) -> GBuffer:
+    """What rays (H, W, 3) through the triangles meet, as a picture; depths, and `reach`, are in lengths of the directions.
+
+    Normals are the triangles', colours as sampled at their corners; emission is left out.
+    """
+    shape = origin_ws.shape[:2]
+    depth, normal = np.full(shape, np.inf, np.float32), np.tile(np.float32([0, 0, 1]), (*shape, 1))
+    position, albedo, specular, emission = (np.zeros((*shape, 3), np.float32) for _ in range(4))
+    roughness, f0 = np.ones(shape, np.float32), np.zeros(shape, np.float32)
+    origin, direction = (np.ascontiguousarray(v, np.float32).reshape(-1, 3) for v in (origin_ws, direction_ws))
+    found = (values.reshape(depth.size, *values.shape[2:])
+             for values in (depth, position, normal, albedo, specular, roughness, f0))
+    see_triangles(depth.size, origin, direction, bvh, around, albedo_table(frame.keeps_energy),
+                  mean_albedo_table(frame.keeps_energy), np.float32(reach[0]), np.float32(reach[1]), *found)
+    return GBuffer(depth, position, normal, albedo, specular, roughness, emission, f0)
 
 
 def shines_of(geometry: Geometry, sky: np.ndarray) -> Shines:
