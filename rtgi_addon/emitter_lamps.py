@@ -58,13 +58,15 @@ def part_emitters(geometry: Geometry, materials: Sequence[Material], bvh: Bvh) -
 
 
 def _is_open(side: Light, shape: Shape, geometry: Geometry, bvh: Bvh) -> bool:
-    """Whether light leaves a side: rays by the cosine from all over it that meet neither something close nor its body."""
+    """Whether light leaves a side: rays from all over the shape that meet neither something close nor its body."""
     index = np.arange(RAYS)
     x, y, u, v = ((index * ROOT**-k + 0.5) % 1 for k in range(1, 5))
     radius, angle = np.sqrt(u), 2 * math.pi * v
     way = np.stack([radius * np.cos(angle), radius * np.sin(angle), -np.sqrt(1 - u)], 1)
     across = 0.9 * np.stack([(x - 0.5) * shape.size_x_m, (y - 0.5) * shape.size_y_m], 1)
-    origin = across @ side.world_from_light[:3, :2].T + side.position_ws
+    # the lamp's own place may lie within a wall
+    hair_m = 1e-6 * shape.span_m + 4e-7 * float(np.abs(shape.centre_ws).max())
+    origin = across @ side.world_from_light[:3, :2].T + shape.centre_ws + hair_m * side.direction_ws
     low, high = geometry.bounds_ws
     reach_m = 2 * float(np.linalg.norm(high - low)) + shape.span_m
     distance, slot, _, _ = cast_rays(origin.astype(np.float32), (way @ side.world_from_light[:3, :3].T).astype(np.float32),

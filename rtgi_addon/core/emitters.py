@@ -21,6 +21,7 @@ ALIKE = 1e-3                # relative difference of the radiance of triangles o
 FILLS = 0.995               # area over that of the rectangle around it
 ROUND = 0.02                # relative: of the radius, squared, that corners are off a disk's ellipse, or of it off a ball
 LEAST_CORNERS = 12          # of a disk
+MOST_SIDES = 16             # of an outline that are tried as those of a rectangle
 LEAST_BALL = 0.85           # area of a ball's triangles over the sphere's: 20 of them have .76, 80 have .93
 LIFT = 1e-4                 # of its longest edge that a lamp stands before its surface
 
@@ -28,8 +29,8 @@ LIFT = 1e-4                 # of its longest edge that a lamp stands before its 
 class Shape(NamedTuple):
     """A mesh, or a part of one, that shines as a lamp does.
 
-    triangles (n,) int64; kind RECTANGLE, DISK, or POINT for a ball; centre (3,) m; unit axes (3, 3), of which the last is the
-    normal; full sizes in m along the first two; radiance (3,) W/(m2 sr).
+    triangles (n,) int64; kind RECTANGLE, DISK, or POINT for a ball; centre (3,) m; unit axes (3, 3), the last of which is
+    the normal; full sizes in m along the first two; radiance (3,) W/(m2 sr).
     """
 
     triangles: np.ndarray
@@ -137,13 +138,13 @@ def _ball_of(triangles: np.ndarray, corners: np.ndarray, across: np.ndarray, rad
 def _panel_of(triangles: np.ndarray, corners: np.ndarray, across: np.ndarray, radiance: np.ndarray) -> Shape | None:
     """The rectangle or disk that triangles of one plane make, or None."""
     area_m2 = 0.5 * float(np.linalg.norm(across, axis=1).sum())
-    normal = across[0] / np.linalg.norm(across[0])
-    places = np.unique(corners.reshape(-1, 3), axis=0)
-    edges = (np.roll(corners, -1, 1) - corners).reshape(-1, 3)
-    long = np.argsort(-(edges**2).sum(1), kind="stable")[:64]
+    normal = (across * np.sign(across @ across[0])[:, None]).sum(0)
+    normal /= np.linalg.norm(normal)
+    places, of = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    origin = places.mean(0)
+    places = places - origin
     best, box = None, math.inf
-    for edge in edges[long]:
-        x_axis = edge / np.linalg.norm(edge)
+    for x_axis in _sides_of(places, of.reshape(-1, 3)):
         y_axis = np.cross(normal, x_axis)
         flat = places @ np.stack([x_axis, y_axis], 1)
         size = np.ptp(flat, axis=0)
@@ -155,16 +156,28 @@ def _panel_of(triangles: np.ndarray, corners: np.ndarray, across: np.ndarray, ra
     if best is None:
         return None
     x_axis, y_axis, middle, size = best
-    centre = x_axis * middle[0] + y_axis * middle[1] + normal * float(places[0] @ normal)
+    centre = origin + x_axis * middle[0] + y_axis * middle[1]
     return Shape(triangles, kind, centre, np.stack([x_axis, y_axis, normal]), float(size[0]), float(size[1]), radiance)
+
+
+def _sides_of(places: np.ndarray, vertex: np.ndarray) -> np.ndarray:
+    """(n, 3) unit vectors along the longest edges of the outline of triangles (m, 3) between places (k, 3), few of them."""
+    edges, count = np.unique(np.sort(np.stack([vertex, np.roll(vertex, -1, 1)], -1).reshape(-1, 2), 1), axis=0,
+                             return_counts=True)
+    along = np.subtract(*places[edges[count == 1]].swapaxes(0, 1))
+    length = np.linalg.norm(along, axis=1)
+    longest = np.argsort(-length, kind="stable")[:MOST_SIDES]
+    return along[longest] / length[longest, None]
 
 
 def _ellipse_through(places: np.ndarray, normal: np.ndarray,
                      area_m2: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """(unit axes, centre along them, full sizes) of the ellipse that an even polygon's corners lie on, of the same area."""
-    middle = places.mean(0)
-    off_middle = np.linalg.norm(places - middle, axis=1)
-    rim = places[off_middle > 1e-3 * off_middle.max()] - middle     # a fan has a corner in its middle
+    """(unit axes, centre along them, full sizes) of the ellipse that an even polygon's corners lie on, of the same area.
+
+    `places` (n, 3) are relative to their mean.
+    """
+    off = np.linalg.norm(places, axis=1)
+    rim = places[off > 1e-3 * off.max()]         # a fan has a corner in its middle
     if len(rim) < LEAST_CORNERS:
         return None
     x_axis = np.linalg.svd(rim, full_matrices=False)[2][0]
@@ -175,4 +188,4 @@ def _ellipse_through(places: np.ndarray, normal: np.ndarray,
     if not (half > 0).all() or np.abs(((flat / half) ** 2).sum(1) - 1).max() > ROUND:
         return None
     half *= math.sqrt(area_m2 / (math.pi * float(half.prod())))
-    return x_axis, y_axis, np.array([middle @ x_axis, middle @ y_axis]), 2 * half
+    return x_axis, y_axis, np.zeros(2), 2 * half

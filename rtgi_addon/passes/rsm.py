@@ -258,8 +258,8 @@ def compute_rsm(frame: Frame, params: RsmParams, context: Context, seed: int = 0
 
     Notes
     -----
-    Linear in the lights' power; no light gives exactly zero. Half shadows do not enter: what a lamp's centre sees is lit. Not
-    so for lamps that are wide beside their distance (`wide_lamps`).
+    Linear in the lights' power; no light gives exactly zero. Half shadows do not enter: what a lamp's centre sees is lit.
+    Those of lamps that are wide beside their distance do (`wide_lamps`).
     Light that arrives at a texel after more than one segment is not there: this is one bounce.
     """
     return _METHODS[params.method](frame, params, context, seed)
