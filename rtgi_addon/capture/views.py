@@ -31,6 +31,8 @@ _CAMERA_FIELDS = ("type", "lens", "sensor_width", "sensor_height", "sensor_fit",
 _SIZE_FIELDS = ("use_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y", "resolution_percentage")
 _SENSOR_M = 36.0            # any width serves: only its ratio to the focal length matters
 OWN_PASSES = "RTGI "          # how the names of the passes begin that RTGI fills itself
+_VEIL_PX = 2                # pixels around one that tell what it lets through, each way
+_VEIL_DEPTH = 0.02          # relative difference of depth up to which they show the same surface
 _NOTHING_M = 0.99e10        # Cycles writes 1e10 where a ray meets nothing
 
 
@@ -216,11 +218,13 @@ class ViewCapture:
         normal = normal / np.maximum(length, np.float32(1e-6))[..., None]
         normal[faceless] = camera.world_from_view[:3, 2]
         roughness = self._roughness(clean, albedo, specular)
-        nothing = ~seen
+        nothing, world = ~seen, clean.get(pass_name("Environment"), black)
         if nothing.any():
             albedo, specular, emission = albedo.copy(), specular.copy(), emission.copy()
             normal[nothing], albedo[nothing], specular[nothing] = (0, 0, 1), 0, 0
-            emission[nothing] = clean.get(pass_name("Environment"), black)[nothing]
+            emission[nothing] = world[nothing]
+        if world[seen].any():
+            emission = emission + _seen_through(world, depth)
         arrays = (depth, camera.positions_ws(depth), normal, albedo, specular, roughness, emission,
                   self._of_materials(clean, "f0", 0.0))
         return GBuffer(*(np.ascontiguousarray(a, np.float32) for a in arrays))
@@ -249,6 +253,30 @@ class ViewCapture:
 def _finite(values: np.ndarray) -> np.ndarray:
     """`values` with 0 for what is not finite: Cycles divides by colours that may be black."""
     return values if np.isfinite(values).all() else np.nan_to_num(values, posinf=0.0, neginf=0.0)
+
+
+def _seen_through(world: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """(H, W, 3) radiance of the world as it shows through surfaces, of depth (H, W) m, that let part of it through.
+
+    Cycles' one sample of a pixel gets through or does not, so each takes the mean over those around it at about its depth.
+    """
+    height, width = depth.shape
+    through = np.where(np.isfinite(depth)[..., None], world, 0)
+    rows, columns = np.nonzero(through.any(-1))
+    near = np.zeros(depth.shape, bool)
+    steps = [(i, j) for i in range(-_VEIL_PX, _VEIL_PX + 1) for j in range(-_VEIL_PX, _VEIL_PX + 1)]
+    for i, j in steps:
+        near[np.clip(rows + i, 0, height - 1), np.clip(columns + j, 0, width - 1)] = True
+    rows, columns = np.nonzero(near & np.isfinite(depth))
+    total, count = np.zeros((len(rows), 3), np.float32), np.zeros((len(rows), 1), np.float32)
+    for i, j in steps:
+        y, x = np.clip(rows + i, 0, height - 1), np.clip(columns + j, 0, width - 1)
+        is_like = np.abs(depth[y, x] - depth[rows, columns]) < _VEIL_DEPTH * depth[rows, columns]
+        total += through[y, x] * is_like[:, None]
+        count[:, 0] += is_like
+    out = np.zeros_like(world)
+    out[rows, columns] = total / count           # it is like itself
+    return out
 
 
 def full_sphere(width_px: int, height_px: int, world_from_view: np.ndarray) -> Camera:
