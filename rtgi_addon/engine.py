@@ -261,7 +261,8 @@ class RTGIEngine(bpy.types.RenderEngine):
                 lights += shining
         frame = Frame(camera, gbuffer, lights, (), geometry, materials, world, self._origin_ws, self._warnings)
         low, high = geometry.bounds_ws
-        facts = planner.SceneFacts(lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission)
+        facts = planner.SceneFacts(lights, self._world.kind, self._materials.has_glossy, self._materials.has_emission,
+                                   _geometry_cache.has_shadowless)
         plan = planner.plan_capture(facts, settings, (low + high) / 2, float(np.linalg.norm(high - low)) / 2)
         captured = []
         around = surroundings_of(frame, geometry) if plan.cast_views else None

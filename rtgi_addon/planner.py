@@ -31,6 +31,7 @@ class SceneFacts:
     world_kind: str             # "black", "constant" or "map"
     has_glossy: bool
     has_emission: bool
+    has_shadowless: bool = False    # whether objects cast no shadow, which Cycles' views show all the same
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,12 @@ def plan_capture(facts: SceneFacts, settings: Settings, centre_ws: np.ndarray, r
     left_out: list[tuple[str, str]] = []
     order = sorted(range(len(facts.lights)), key=lambda i: (-reach_of(facts.lights[i], centre_ws, radius_m), i))
     wanted = order if any(t.name != "direct" for t in wants_views) else order[:CYCLES_VIEWS]
-    cycles, cast = wanted[:CYCLES_VIEWS], wanted[CYCLES_VIEWS:]
-    if cast:
+    most = 0 if facts.has_shadowless else CYCLES_VIEWS
+    cycles, cast = wanted[:most], wanted[most:]
+    if facts.has_shadowless and cast:
+        left_out.append(("Cycles views of lamps", "some objects cast no shadow; light is followed through the triangles of "
+                         "the others instead, without textures"))
+    elif cast:
         left_out.append(("Cycles views of some lamps", f"{len(cast)} lamps are weaker than the first {len(cycles)}; their "
                          "light is followed through the triangles instead"))
     if not facts.has_glossy:

@@ -29,7 +29,7 @@ _PARTLY = 0.05              # opacities so far from nothing and from all let par
 _EDGE_PX = 1e-3             # a triangle that reaches less than this into a texel does not show it
 
 # maps of one texel
-_EVEN = tuple(np.array([[value]], np.uint8) for value in range(256))
+EVEN = tuple(np.array([[value]], np.uint8) for value in range(256))
 
 
 def _bytes(opacity: np.ndarray) -> np.ndarray:
@@ -158,7 +158,7 @@ def read_opacity(material: bpy.types.Material | None, images: ImageCache) -> Opa
             matters.append(need)
         there = again
     if not matters:
-        return Opacity(None, _EVEN[int(_bytes(there.mean()))], (1, 1), apart)
+        return Opacity(None, EVEN[int(_bytes(there.mean()))], (1, 1), apart)
     if len(matters) > 1 or matters[0][0] != "uv":
         return Opacity(None, None, (1, 1), apart)
     width, height = reader.values.image_px
@@ -242,7 +242,7 @@ class CutoutBuilder:
             level = np.full(len(chosen), opacity.texels[0, 0]) if is_even else _bytes(coverage)
             used, map_of = np.unique(level, return_inverse=True)
             self._add(opacity, chosen, coverage, np.zeros((len(chosen), 3, 2), np.float32), map_of.astype(np.int32),
-                      [_EVEN[k] for k in used])
+                      [EVEN[k] for k in used])
             return level > 0
         uv = values.reshape(-1, 3, 4)[chosen, :, :2].astype(np.float64)
         uv = np.where(np.isfinite(uv).all((1, 2), keepdims=True), uv, 0)

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 
 from ..core.frame import Geometry
-from .cutouts import CutoutBuilder, MeshCutouts, Opacity, join_cutouts, read_opacity, shadow_trace
+from .cutouts import EVEN, CutoutBuilder, MeshCutouts, Opacity, join_cutouts, read_opacity, shadow_trace
 from .images import ImageCache
 from .materials import SURFACE_TYPES, MaterialCache, MaterialTable, SurfaceReader
 from .nodes import spread_evenly
@@ -69,7 +69,8 @@ Ranges = tuple[Range, ...]
 class GeometryCache:
     """What stays between frames. One engine keeps one; everything not used in a frame is dropped at its end.
 
-    `materials` is for `read_materials`, whose textures both share; `ranges` tell whose triangles the last frame's are.
+    `materials` is for `read_materials`, whose textures both share; `ranges` tell whose triangles the last frame's are, and
+    `has_shadowless` whether there was an object that casts no shadow.
     """
 
     materials: MaterialCache = field(default_factory=MaterialCache)
@@ -78,6 +79,7 @@ class GeometryCache:
     opacities: dict[tuple, Opacity | None] = field(default_factory=dict)
     joined: tuple[list[_Colours], int, tuple] = ([], 0, ())
     ranges: Ranges = ()
+    has_shadowless: bool = False
 
 
 def _lattice(splits: int) -> tuple[np.ndarray, np.ndarray]:
@@ -295,6 +297,23 @@ def _shade(mesh: _Mesh, slot_materials: tuple[int, ...], table: MaterialTable, o
     return _Colours(albedo[keep], emission[keep], material[keep], keep, cutouts.build(keep))
 
 
+def _shadowless(colours: _Colours) -> _Colours:
+    """What is left of a mesh that casts no shadow: triangles that shine, and no ray meets them.
+
+    Rays for light and rays for what reflects light are the same here, and shadows where there are none are worse than
+    something missing in a mirror. Lamps' views are cast through the same triangles then, so that these are no veils.
+    """
+    shines = colours.emission.any(1)
+    keep = shines.copy() if colours.keep is None else colours.keep.copy()
+    if colours.keep is not None:
+        keep[colours.keep] = shines
+    count = int(shines.sum())
+    nothing = MeshCutouts(np.arange(count, dtype=np.int32), np.zeros((count, 3, 2), np.float32), np.ones(count, np.float32),
+                          np.zeros(count, np.int32), [EVEN[0]], [False])
+    return _Colours(colours.albedo[shines], colours.emission[shines], colours.material[shines], keep,
+                    nothing if count else None)
+
+
 @dataclass
 class _Part:
     """One mesh with the materials of one object: vertices in object space, triangles, colours."""
@@ -322,10 +341,12 @@ def _read_part(source: bpy.types.Object, table: MaterialTable, opacities: _Opaci
         index = mesh.slots()
         key = (len(mesh), slots, tuple(table.traces[k] for k in slots), tuple(opacities.traces[k] for k in slots),
                tuple(table.materials[k].name for k in slots),
-               0 if index is None else zlib.crc32(np.ascontiguousarray(index)), mesh.checksum(needs))
+               0 if index is None else zlib.crc32(np.ascontiguousarray(index)), mesh.checksum(needs), source.visible_shadow)
         colours = kept.colours.get(key) or cache.colours.get(key)
         if colours is None:
             colours = _shade(mesh, slots, table, opacities, cache.materials.images)
+            if not source.visible_shadow:
+                colours = _shadowless(colours)
         kept.colours[key] = colours
         if source.is_holdout:
             colours = replace(colours, albedo=np.zeros_like(colours.albedo), emission=np.zeros_like(colours.emission))
@@ -368,20 +389,23 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
     cache : GeometryCache or None
         Pass the same one in each frame; textures are then sampled only where something changed.
 
-    Left out are objects that no diffuse, glossy or shadow ray can meet, and triangles that are fully transparent. The
-    share of a surface that is transparent counts as black in its albedo; `cutouts` say where it is. NaN coordinates are
-    handed on. The colours of two frames are the same arrays where nothing changed: do not write to them.
+    Left out are objects that no diffuse, glossy or shadow ray can meet, what does not shine of those that cast no shadow,
+    and triangles that are fully transparent. The share of a surface that is transparent counts as black in its albedo;
+    `cutouts` say where it is. NaN coordinates are handed on. The colours of two frames are the same arrays where nothing
+    changed: do not write to them.
     """
     cache = GeometryCache() if cache is None else cache
     kept = GeometryCache()
     opacities = _read_opacities(table, cache)
     origin_ws = np.asarray(origin_ws, np.float64)
     parts: dict[tuple, _Part | None] = {}
+    cache.has_shadowless = False
     placed, vertices, colours, owners = [], [], [], []
     for instance in depsgraph.object_instances:
         source = instance.object
         if source.type not in SURFACE_TYPES or not instance.show_self or not _is_met_by_rays(source):
             continue
+        cache.has_shadowless |= source.visible_camera and not source.visible_shadow
         matrix = np.array(instance.matrix_world, np.float64)
         # the data alone does not tell which modifiers and slots an object adds to it; an instance's object is a passing copy
         key = (source.original.as_pointer(), source.data.as_pointer())

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import fresnel, ggx_lobe, sample_lobe
+from .brdf import fresnel, ggx_lobe, lobe_density, sample_lobe
 from .fastmath import on_circle
 from .jit import borrowed, device_jit, pixel_jit
 from .sampling import disk, r2_sequence
@@ -269,21 +269,60 @@ def radiance_along(lamp, p, d):
 
 
 @device_jit
+def _weight_along(lamp, p, d):
+    """What `lamp_at` weighs the place with that a ray from p along the unit vector d meets; of a lamp that it does meet."""
+    if lamp.kind == SUN_LAMP:
+        return ONE / max(-dot(load(lamp.places, DIRECTION), d), f32(1e-6))
+    to = sub(load(lamp.places, POSITION), p)
+    if lamp.kind >= RECTANGLE_LAMP:
+        towards = load(lamp.places, DIRECTION)
+        area = f32(4) * lamp.half_x * lamp.half_y * (ONE if lamp.kind == RECTANGLE_LAMP else f32(math.pi / 4))
+        return _area_weight(lamp, scaled(d, dot(towards, to) / dot(towards, d)), area)
+    distance_sq = max(dot(to, to), f32(1e-30))
+    if lamp.kind == DISK_LAMP:
+        reach = distance_sq / dot(to, d)
+        return _spot_share(lamp, d) * math.sqrt(distance_sq) / (reach * reach * reach)
+    sin_sq = min(lamp.half_x * lamp.half_x / distance_sq, ONE)
+    return _spot_share(lamp, d) * f32(2) * sin_sq / ((ONE + math.sqrt(ONE - sin_sq)) * lamp.half_x * lamp.half_x)
+
+
+@device_jit
 def _reflected(lamp, p, n, viewer, axis, size, alpha, f0, shift_u, shift_v):
-    """Integral of radiance x glossy lobe of a lobe that is narrow beside the lamp, by rays of the lobe."""
+    """Integral of radiance x glossy lobe of a lobe that is narrow beside the lamp.
+
+    By rays of the lobe, which tell what of the lamp lies in its middle, and places on the lamp, which tell what its tail
+    takes, weighted by the balance heuristic (Veach and Guibas 1995).
+    """
     mirror = sub(scaled(n, f32(2) * dot(n, viewer)), viewer)
     beyond = length(sub(mirror, axis)) - TAIL * alpha
     if beyond > f32(1.5) * size or dot(n, viewer) <= ZERO:
         return ZERO
     total, rays = ZERO, SHARP_RAYS if alpha > MIRROR_ALPHA else 1
+    has_places = alpha > MIRROR_ALPHA and lamp.spread_gain == ZERO
+    u = v = ZERO
     at_viewer = fresnel(max(dot(n, viewer), f32(0.02)), f0)
     for i in range(rays):
         d, weight = mirror, ONE
         if alpha > MIRROR_ALPHA:
             u, v = r2_sequence(i, shift_u, shift_v)
             d, weight = sample_lobe(n, viewer, alpha, u, v)
-        half = normalized_or(Vec3(d.x + viewer.x, d.y + viewer.y, d.z + viewer.z), n)
-        total += weight * fresnel(max(dot(half, viewer), ZERO), f0) / at_viewer * radiance_along(lamp, p, d)
+        radiance = radiance_along(lamp, p, d)
+        if radiance > ZERO:
+            half = normalized_or(Vec3(d.x + viewer.x, d.y + viewer.y, d.z + viewer.z), n)
+            given = weight * fresnel(max(dot(half, viewer), ZERO), f0) / at_viewer * radiance
+            if has_places:
+                density = lobe_density(n, viewer, d, alpha)
+                given *= density / (density + radiance / _weight_along(lamp, p, d))
+            total += given
+        if has_places:
+            x, y, _ = lamp_place(lamp, p, u, v)
+            d, weight = lamp_at(lamp, p, x, y)
+            unit = normalized_or(d, n)
+            radiance = radiance_along(lamp, p, unit) if weight > ZERO and dot(n, unit) > ZERO else ZERO
+            if radiance > ZERO:
+                density = radiance / weight
+                given = weight * ggx_lobe(n, viewer, unit, alpha * alpha, f0)
+                total += given * density / (density + lobe_density(n, viewer, unit, alpha))
     return total / f32(rays)
 
 
@@ -371,7 +410,7 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
     if is_glossy and alpha < SHARP * min(size, f32(0.2)):
         glossy = _reflected(lamp, p, n, viewer, axis, size, alpha, f0, shift_u, shift_v)
         is_glossy = False
-    elif is_glossy and height > size and reflectance < METALS:
+    elif is_glossy and height > size and size < HALF and reflectance < METALS:
         diffuse, glossy = _from_centre(lamp, p, n, viewer, wide_alpha, f0, True)
         is_glossy = reflectance * glossy > MINOR_LOBE * INV_PI * diffuse
         if is_whole and not (is_glossy and alpha < f32(6) * size):

@@ -35,6 +35,7 @@ TOLERANCE_PX = f32(0.05)    # steps below this share of a texel's footprint are 
 QUAD_SHARE = f32(0.1)       # and below this share of the height range of the four texels around a point
 WINDOW_PX = 10              # larger outlines of the lamp are not worth looking through: rays are cheaper
 MARGIN_PX = f32(1.5)        # silhouettes nearer than this make a point ambiguous for any light
+SMALL_SINE = f32(0.1)       # up to which it is the angle, but for a fifth of a percent
 TURNS = f32(0.5 / math.pi)  # in a radian
 POLE = f32(0.1)             # rows of an equirectangular view whose cosine of latitude is smaller are never trusted
 
@@ -48,7 +49,7 @@ class ShadowMap(NamedTuple):
     view_from_world (3, 4) float32; left, top: edges of the image plane; step_x, step_y: size of a texel on it;
     height (H, W) float32; reach (H, W) float32 texels (see the module's docstring), and `tallest` (H, W) float32, the height
     of the silhouette that gives it; broken (H, W) uint8, BROKEN beside a jump and VEILED where something may stand that lets
-    part of the light through; k: texels of half shadow for a unit of height.
+    part of the light through; k: texels of half shadow for a unit of height, see `_spread`.
     """
 
     projection: int
@@ -84,7 +85,11 @@ def build_shadow_map(projection: int, view_from_world: np.ndarray, left: float, 
     tallest = _find_jumps(height, TOLERANCE_PX * max(step_x, step_y), projection == ORTHOGRAPHIC, is_wrapped)
     broken = (tallest != NOTHING).astype(np.uint8)
     _draw_veils(veils, projection, is_wrapped, tallest, broken)
-    reach = np.where(broken > 0, k * row_scale[:, None] * tallest, NOTHING)
+    spread = k * tallest
+    if projection == EQUIRECTANGULAR:
+        sine = np.maximum(min(step_x, step_y) * spread, 0)
+        spread = np.where(sine < 1, np.arcsin(np.minimum(sine, 1)), math.pi) / min(step_x, step_y)
+    reach = np.where(broken > 0, row_scale[:, None] * spread, NOTHING).astype(np.float32)
     for _ in range(2 if is_wrapped else 1):
         _spread_reach(reach, tallest, is_wrapped)
     return ShadowMap(projection, np.ascontiguousarray(view_from_world[:3], np.float32), f32(left), f32(top), f32(step_x),
@@ -183,6 +188,23 @@ def _spread_reach(reach, tallest, is_wrapped):
 
 
 @inline_jit
+def _spread(m, k, h):
+    """Texels by which a silhouette of height h may darken what lies infinitely far behind it; less those of a point's own
+    height, what it may darken there.
+
+    On a plane they are k h. Around a lamp the half shadow of an occluder at distance d ends where the cone of a farther point
+    around the lamp, a ball of radius R, touches it: asin(R / d) - asin(R / distance of the point).
+    """
+    if m.projection != EQUIRECTANGULAR:
+        return k * h
+    step = min(m.step_x, m.step_y)
+    sine = m.k * step * h
+    if sine < SMALL_SINE:
+        return k * h
+    return (math.asin(sine) if sine < ONE else f32(math.pi)) * k / (m.k * step)
+
+
+@inline_jit
 def _project(m, p):
     """Column, row (texel centres at +0) and height of p in map m; height NOTHING behind a perspective view."""
     q = moved_by(m.view_from_world, p)
@@ -236,7 +258,7 @@ def classify(m, p, error):
             return ASK
         k = k / cos_latitude
     reach = max(max(m.reach[i, j0], m.reach[i, j1]), max(m.reach[i + 1, j0], m.reach[i + 1, j1]))
-    if reach - k * h + MARGIN_PX > ZERO:
+    if reach - _spread(m, k, h) + MARGIN_PX > ZERO:
         return ASK
     scale = ONE if m.projection == ORTHOGRAPHIC else high
     slack = QUAD_SHARE * (high - low) + (TOLERANCE_PX * foot + error * scale) * scale
@@ -282,9 +304,12 @@ def look_around(m, p, n, error):
         cos_latitude, _ = on_circle(TURNS * abs(m.top - (f32(i) + f32(0.5)) * m.step_y))
         k = k / max(cos_latitude, POLE)
     tallest = max(max(m.tallest[i, j0], m.tallest[i, j1]), max(m.tallest[i + 1, j0], m.tallest[i + 1, j1]))
-    if not k * (tallest - h) < f32(WINDOW_PX - 1):
+    if m.projection == EQUIRECTANGULAR and m.k * min(m.step_x, m.step_y) * tallest > SMALL_SINE:
+        return ASK                               # light of a wide lamp goes beside and behind what its centre sees
+    spread = k * (tallest - h)
+    if not spread < f32(WINDOW_PX - 1):
         return ASK
-    radius = int(max(k * (tallest - h), ZERO) + ONE)
+    radius = int(max(spread, ZERO) + ONE)
     n = turned_by(m.view_from_world, n)
     if m.projection == ORTHOGRAPHIC:
         over = n.z
