@@ -15,7 +15,7 @@ import numpy as np
 from .brdf import HALF, INV_PI, fit_lobe, fresnel, ggx_lobe, lobe_albedos, lobe_density, sample_lobe
 from .bvh import STACK, closest_hit, triangle_normal, visibility
 from .depth_pyramid import height_at, plane_slopes
-from .jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
+from .jit import borrowed, inline_jit, pixel_jit, scratch
 from .lamps import LEAST_ALPHA
 from .lit_hits import LEAST_REFLECTANCE, edge_fade, gloss_of_lamps, light_of_lamps, lit_there, softened
 from .reflect import AIMED_ALPHA, ASK, LEAST_COSINE, lobe_at
@@ -71,7 +71,7 @@ class Surroundings(NamedTuple):
     shines: Shines
 
 
-@device_jit
+@inline_jit
 def colours_at(around, albedos, t, a, b, cosine):
     """(albedo, Glossy Color towards a direction at `cosine` to the normal, roughness, F0) of triangle t at (a, b) in it."""
     c, at = ONE - a - b, around.albedo[t]
