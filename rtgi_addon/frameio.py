@@ -59,10 +59,10 @@ def _take_gbuffer(file: Any, prefix: str) -> GBuffer:
 
 
 def _take_geometry(file: Any) -> Geometry:
-    # files from before there were cutouts hold none
+    # files from before there were cutouts, or shading normals, hold none
     has_cutouts = "geometry.cutouts.row" in file
-    return _take(file, "geometry", Geometry,
-                 cutouts=_take_cutouts(file) if has_cutouts else None)
+    return _take(file, "geometry", Geometry, cutouts=_take_cutouts(file) if has_cutouts else None,
+                 normals_ws=file.get("geometry.normals_ws"))
 
 
 def _take_cutouts(file: Any) -> Cutouts:

@@ -101,6 +101,12 @@ def with_triangles(frame: Frame, *meshes: np.ndarray) -> Frame:
           for name in ("corners_ws", "albedo", "emission", "material"))))
 
 
+def with_normals(frame: Frame) -> Frame:
+    """The frame with shading normals that have nothing to do with their triangles."""
+    normals = np.random.default_rng(4).integers(-32768, 32768, frame.geometry.corners_ws.shape).astype(np.int16)
+    return dataclasses.replace(frame, geometry=dataclasses.replace(frame.geometry, normals_ws=normals))
+
+
 def lamp_at(frame: Frame, position: tuple[float, float, float]) -> Frame:
     """The frame with its first lamp elsewhere; the lamp's view stays, as if of another lamp, but is taken from there."""
     light, view = frame.lights[0], frame.views[0]
@@ -164,6 +170,8 @@ def odd_frames() -> dict[str, Callable[[], Frame]]:
     frames["no surface in view"] = lambda: seen(
         room(), depth=np.full(SIZE[::-1], np.inf, np.float32), position_ws=np.zeros((*SIZE[::-1], 3), np.float32))
     frames["no triangles"] = lambda: dataclasses.replace(room(), geometry=Geometry.empty())
+    frames["normals in all directions"] = lambda: with_normals(room())
+    frames["normals of broken triangles"] = lambda: with_normals(with_triangles(room(), BROKEN))
     frames["no lamps"] = lambda: dataclasses.replace(room(), lights=(), views=())
     frames["lamps without views"] = lambda: dataclasses.replace(room(), views=())
     frames["broken triangles"] = lambda: with_triangles(room(), BROKEN)

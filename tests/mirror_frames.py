@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtgi_addon.core.frame import Frame, GBuffer, Geometry, Light, LightKind, Material
+from rtgi_addon.core.frame import NORMAL_STEPS, Frame, GBuffer, Geometry, Light, LightKind, Material
 from rtgi_addon.core.synthetic import cast_view, make_room_frame
 from rtgi_addon.core.techniques import DirectParams
 from rtgi_addon.core.transforms import Camera, Projection
@@ -66,6 +66,22 @@ def wall(x_range: tuple[float, float], y: float, z_range: tuple[float, float]) -
     (x0, x1), (z0, z1) = x_range, z_range
     corner = np.array([[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]])
     return corner[[[0, 1, 2], [0, 2, 3]]]
+
+
+def coarse_ball(centre: tuple[float, float, float], radius: float, sides: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 3, 3) triangles of a ball of `sides` by half as many facets, and (T, 3, 3) the ball's normals at their corners."""
+    rows = sides // 2
+    across, down = 2 * np.pi * np.arange(sides + 1) / sides, np.pi * np.arange(rows + 1) / rows
+    out = np.stack([np.outer(np.sin(down), np.cos(across)), np.outer(np.sin(down), np.sin(across)),
+                    np.outer(np.cos(down), np.ones(sides + 1))], -1)
+    quads = np.stack([out[:-1, :-1], out[1:, :-1], out[1:, 1:], out[:-1, 1:]], 2).reshape(-1, 4, 3)
+    normals = np.concatenate([quads[sides:, [0, 2, 3]], quads[:-sides, [0, 1, 2]]])       # at the poles there is one each
+    return np.array(centre) + radius * normals, normals
+
+
+def shaded_smooth(geometry: Geometry, normals_ws: np.ndarray) -> Geometry:
+    """The triangles with unit normals (T, 3, 3) at their corners; zeros are flat."""
+    return dataclasses.replace(geometry, normals_ws=np.rint(NORMAL_STEPS * normals_ws).astype(np.int16))
 
 
 def camera_at(position: tuple[float, float, float], towards: tuple[float, float, float], width: int, height: int,

@@ -1,7 +1,8 @@
-"""World triangles of the evaluated scene, with albedo at the corners, emission, and opacity where it is not 1.
+"""World triangles of the evaluated scene, with albedo and normals at the corners, emission, and opacity where it is not 1.
 
-Positions are read anew each frame. Colours depend on texture coordinates and materials and not on positions, so
-`GeometryCache` keeps them between frames under a checksum of exactly these.
+Positions and normals are read anew each frame. Colours depend on texture coordinates and materials and not on positions, so
+`GeometryCache` keeps them between frames under a checksum of exactly these; and normals in the world while neither they nor
+their object turn.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import bpy
 import numpy as np
 
-from ..core.frame import Geometry
+from ..core.frame import NORMAL_STEPS, Geometry
 from .cutouts import EVEN, CutoutBuilder, MeshCutouts, Opacity, join_cutouts, read_opacity, shadow_trace
 from .images import ImageCache
 from .materials import SURFACE_TYPES, MaterialCache, MaterialTable, SurfaceReader
@@ -40,6 +41,15 @@ class _Colours:
     material: np.ndarray
     keep: np.ndarray | None
     cutouts: MeshCutouts | None = None
+
+
+@dataclass(frozen=True)
+class _Normals:
+    """Shading normals of a mesh in object space: `values` (n, 3) float32, 0 for flat faces, and which of them lies at each
+    corner of the triangles, `index` (T, 3) int32."""
+
+    values: np.ndarray
+    index: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -77,6 +87,7 @@ class GeometryCache:
     topologies: dict[tuple, _Topology] = field(default_factory=dict)
     colours: dict[tuple, _Colours] = field(default_factory=dict)
     opacities: dict[tuple, Opacity | None] = field(default_factory=dict)
+    normals: dict[tuple, np.ndarray] = field(default_factory=dict)
     joined: tuple[list[_Colours], int, tuple] = ([], 0, ())
     ranges: Ranges = ()
     has_shadowless: bool = False
@@ -107,6 +118,13 @@ def _values(mesh: bpy.types.Mesh, name: str, prop: str, width: int, dtype: type)
     out = np.empty(len(attribute.data) * width, dtype)
     attribute.data.foreach_get(prop, out)
     return out.reshape(-1, width)
+
+
+def _vectors(normals: bpy.types.bpy_prop_collection) -> np.ndarray:
+    """(n, 3) float32 of a mesh's normals."""
+    out = np.empty(3 * len(normals), np.float32)
+    normals.foreach_get("vector", out)
+    return out.reshape(-1, 3)
 
 
 class _Mesh:
@@ -148,6 +166,22 @@ class _Mesh:
         """(T, 3) int32 vertex of each corner."""
         loops = self.topology.loops
         return (self.corners if loops is None else self.corners[loops]).reshape(-1, 3)
+
+    def normals(self) -> _Normals | None:
+        """Shading normals; None where all faces are flat."""
+        domain = self.mesh.normals_domain
+        if domain == "FACE":
+            return None
+        if domain == "POINT":                    # fewer than corners, and they index as positions do
+            return _Normals(_vectors(self.mesh.vertex_normals), self.vertices)
+        values, loops = _vectors(self.mesh.corner_normals), self.topology.loops
+        loops = (np.arange(len(values), dtype=np.int32) if loops is None else loops).reshape(-1, 3)
+        # custom normals are free to bend flat faces too
+        flat = None if self.mesh.has_custom_normals else _values(self.mesh, "sharp_face", "value", 1, bool)
+        if flat is not None:
+            faces = self.topology.faces
+            values[loops[flat[:, 0] if faces is None else flat[faces, 0]]] = 0
+        return _Normals(values, loops)
 
     def slots(self) -> np.ndarray | None:
         """(T,) int32 slot of each triangle; None where all faces are in the first."""
@@ -316,11 +350,12 @@ def _shadowless(colours: _Colours) -> _Colours:
 
 @dataclass
 class _Part:
-    """One mesh with the materials of one object: vertices in object space, triangles, colours."""
+    """One mesh with the materials of one object: vertices in object space, triangles, colours, normals if it has any."""
 
     positions: np.ndarray
     vertices: np.ndarray
     colours: _Colours
+    normals: _Normals | None
 
 
 def _is_met_by_rays(source: bpy.types.Object) -> bool:
@@ -350,8 +385,11 @@ def _read_part(source: bpy.types.Object, table: MaterialTable, opacities: _Opaci
         kept.colours[key] = colours
         if source.is_holdout:
             colours = replace(colours, albedo=np.zeros_like(colours.albedo), emission=np.zeros_like(colours.emission))
-        vertices = mesh.vertices if colours.keep is None else mesh.vertices[colours.keep]
-        return _Part(mesh.positions, vertices, colours)
+        vertices, normals = mesh.vertices, mesh.normals()
+        if colours.keep is not None:
+            vertices = vertices[colours.keep]
+            normals = normals and replace(normals, index=normals.index[colours.keep])
+        return _Part(mesh.positions, vertices, colours, normals)
     finally:
         if not is_mesh:
             source.to_mesh_clear()
@@ -370,10 +408,49 @@ def _place(positions: np.ndarray, matrix: np.ndarray, origin_ws: np.ndarray) -> 
     return placed
 
 
+def _turn(normals: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """(n, 3) int16 in NORMAL_STEPS: object space normals as `matrix` (4, 4) turns them; 0 for those that have no direction.
+
+    By the cofactors, which are the inverse transpose times the determinant: a mirroring matrix, under which the corners of a
+    triangle go round the other way, puts its normals on the other side as well, and one that flattens has cofactors too.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3].tolist()
+    cofactors = np.array([(e * i - f * h, f * g - d * i, d * h - e * g), (c * h - b * i, a * i - c * g, b * g - a * h),
+                          (b * f - c * e, c * d - a * f, a * e - b * d)])
+    cofactors *= NORMAL_STEPS / max(np.abs(cofactors).max(), 1e-300)
+    # not a matrix product, see `_place`; by coordinates, twice as fast as by normals
+    turned = np.einsum("kj,jn->kn", cofactors.astype(np.float32), np.ascontiguousarray(normals.T))
+    size = np.sqrt(turned[0] * turned[0] + turned[1] * turned[1] + turned[2] * turned[2])
+    is_lost = ~(size > 0)
+    if is_lost.any():
+        turned[:, is_lost], size[is_lost] = 0, 1
+    turned *= NORMAL_STEPS / size
+    return np.rint(turned, out=turned).T.astype(np.int16, order="C")
+
+
+def _turn_again(normals: _Normals, matrix: np.ndarray, cache: GeometryCache, kept: GeometryCache) -> np.ndarray:
+    """`_turn` of a mesh's normals, or what it gave in the last frame."""
+    key = (normals.values.shape, zlib.crc32(normals.values), matrix[:3, :3].tobytes())
+    found = kept.normals.get(key, cache.normals.get(key))
+    kept.normals[key] = found = _turn(normals.values, matrix) if found is None else found
+    return found
+
+
 def _owners(instance: bpy.types.DepsgraphObjectInstance) -> frozenset[int]:
     source, parent = instance.object, instance.parent if instance.is_instance else None
     found = (source.original, source.data.original if source.data else None, parent.original if parent else None)
     return frozenset(owner.as_pointer() for owner in found if owner is not None)
+
+
+def _join_normals(normals: list[tuple[np.ndarray, np.ndarray] | None], stops: list[int]) -> np.ndarray | None:
+    """`Geometry.normals_ws` of parts that end at the triangles `stops`: of each its normals and which lie at its corners."""
+    if not any(normals):
+        return None
+    out = np.zeros((stops[-1], 3, 3), np.int16)
+    for part, start, stop in zip(normals, [0, *stops], stops, strict=False):
+        if part is not None:
+            np.take(*part, axis=0, out=out[start:stop], mode="clip")
+    return out
 
 
 def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_ws: np.ndarray,
@@ -400,7 +477,7 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
     origin_ws = np.asarray(origin_ws, np.float64)
     parts: dict[tuple, _Part | None] = {}
     cache.has_shadowless = False
-    placed, vertices, colours, owners = [], [], [], []
+    placed, vertices, colours, normals, owners = [], [], [], [], []
     for instance in depsgraph.object_instances:
         source = instance.object
         if source.type not in SURFACE_TYPES or not instance.show_self or not _is_met_by_rays(source):
@@ -417,10 +494,11 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
         placed.append(_place(part.positions, matrix, origin_ws))
         vertices.append(part.vertices)
         colours.append(part.colours)
+        normals.append(part.normals and (_turn_again(part.normals, matrix, cache, kept), part.normals.index))
         owners.append(_owners(instance))
     stops = np.cumsum([len(v) for v in vertices], dtype=np.int64).tolist()
     cache.ranges = tuple(Range(*r) for r in zip(owners, [0, *stops], stops, strict=False))
-    cache.topologies, cache.colours = kept.topologies, kept.colours
+    cache.topologies, cache.colours, cache.normals = kept.topologies, kept.colours, kept.normals
     if not placed:
         return Geometry.empty()
     corners = np.empty((sum(map(len, vertices)), 3, 3), np.float32)
@@ -436,4 +514,4 @@ def read_geometry(depsgraph: bpy.types.Depsgraph, table: MaterialTable, origin_w
         joined = (*(np.concatenate([getattr(c, name) for c in colours]) for name in ("albedo", "emission", "material")),
                   join_cutouts([len(c.material) for c in colours], [c.cutouts for c in colours], most_layers))
         cache.joined = (colours, most_layers, joined)
-    return Geometry(corners, *joined)
+    return Geometry(corners, *joined, _join_normals(normals, stops))

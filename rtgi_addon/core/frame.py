@@ -15,6 +15,8 @@ import numpy as np
 
 from .transforms import Camera
 
+NORMAL_STEPS = 32767        # of a corner normal's coordinate from 0 to 1
+
 
 class LightKind(enum.Enum):
     """The shapes of lamps that the passes know."""
@@ -194,6 +196,9 @@ class Geometry:
     material : (T,) int32, index into `Frame.materials`.
     cutouts : Cutouts or None
         None where every triangle is opaque, which is most scenes: they pay nothing.
+    normals_ws : (T, 3, 3) int16 or None
+        Shading normals at the corners, unit vectors in NORMAL_STEPS (0.001 degrees off), on the side from which the corners
+        go round counter-clockwise; zeros for a flat-shaded triangle. None where all are flat.
     """
 
     corners_ws: np.ndarray
@@ -201,6 +206,7 @@ class Geometry:
     emission: np.ndarray
     material: np.ndarray
     cutouts: Cutouts | None = None
+    normals_ws: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.corners_ws)

@@ -109,6 +109,8 @@ def _mend_geometry(geometry: Geometry) -> tuple[Geometry, list[str]]:
         if geometry.cutouts is not None:
             changes["cutouts"] = dataclasses.replace(geometry.cutouts,
                                                      row=np.ascontiguousarray(geometry.cutouts.row[keep]))
+        if geometry.normals_ws is not None:
+            changes["normals_ws"] = np.ascontiguousarray(geometry.normals_ws[keep])
         geometry = dataclasses.replace(geometry, **changes)
     for name in ("albedo", "emission"):
         values, count = _mended_colour(getattr(geometry, name))

@@ -124,10 +124,12 @@ def _given(lights, k, albedo, diffuse, specular, glossy):
 
 
 @inline_jit
-def light_of_lamps(bvh, lights, stack, p, n, towards, albedo, specular, roughness, known_f0, albedos, offset_m, u, v, pick):
+def light_of_lamps(bvh, lights, stack, p, n, plane, towards, albedo, specular, roughness, known_f0, albedos, offset_m, u, v,
+                   pick):
     """Radiance that point p, normal n, sends along `towards` of the lamps' light: one shadow ray, to a lamp drawn by share.
 
-    (u, v) is the place on the lamp, `pick` draws the lamp; all in [0, 1).
+    `plane` is the triangle's normal: what lies below it is in the surface's own shadow, wherever n points. (u, v) is the
+    place on the lamp, `pick` draws the lamp; all in [0, 1).
     """
     reflectance = max(specular.x, max(specular.y, specular.z))
     alpha, f0, gain = max(roughness * roughness, LEAST_ALPHA), ZERO, ZERO
@@ -142,7 +144,7 @@ def light_of_lamps(bvh, lights, stack, p, n, towards, albedo, specular, roughnes
         unit = normalized_or(d, n)
         cosine = dot(n, unit)
         weight *= share
-        if not weight > ZERO or not cosine > ZERO:
+        if not weight > ZERO or not cosine > ZERO or (lights.shadows[k] != 0 and not dot(plane, unit) > ZERO):
             continue
         glossy = weight * gain * ggx_lobe(n, towards, unit, alpha * alpha, f0) if gain > ZERO else ZERO
         given = _given(lights, k, albedo, INV_PI * weight * cosine, specular, glossy)
@@ -159,7 +161,7 @@ def light_of_lamps(bvh, lights, stack, p, n, towards, albedo, specular, roughnes
         return light
     arrives = ONE
     if lights.shadows[chosen] != 0:
-        start = begun(lifted(p, n, offset_m), way, offset_m)
+        start = begun(lifted(p, plane, offset_m), way, offset_m)
         arrives = visibility(bvh, stack, start, sub(add(p, way), start))
     return scaled(light, arrives * total / kept)
 

@@ -1,8 +1,9 @@
 """What a ray through the scene's triangles sees: the hit's light after lamps, world and emissive surfaces have reached it.
 
-Where the camera sees the hit, the picture tells its light. Elsewhere the triangle's own colours are lit: one shadow ray
-goes to a place on a lamp drawn by what the lamps would give, and one ray, drawn by the cosine, into the world and to
-emissive surfaces. In both cases one more ray, drawn from the hit's own lobe, tells what of these it mirrors.
+Where the camera sees the hit, the picture tells its light. Elsewhere the triangle's own colours are lit, by the normals at
+its corners where it is shaded smooth: one shadow ray goes to a place on a lamp drawn by what the lamps would give, and one
+ray, drawn by the cosine, into the world and to emissive surfaces. In both cases one more ray, drawn from the hit's own lobe,
+tells what of these it mirrors.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ import numpy as np
 from .brdf import HALF, INV_PI, fit_lobe, fresnel, ggx_lobe, lobe_albedos, lobe_density, sample_lobe
 from .bvh import STACK, closest_hit, triangle_normal, visibility
 from .depth_pyramid import height_at, plane_slopes
-from .jit import borrowed, device_jit, inline_jit, pixel_jit, scratch
+from .jit import borrowed, inline_jit, pixel_jit, scratch
 from .lamps import LEAST_ALPHA
 from .lit_hits import LEAST_REFLECTANCE, edge_fade, gloss_of_lamps, light_of_lamps, lit_there, softened
-from .reflect import AIMED_ALPHA, ASK, lobe_at
+from .reflect import AIMED_ALPHA, ASK, LEAST_COSINE, lobe_at
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .screen import is_inside, to_screen, turn_to_view, view_vector
 from .shadow import ORTHOGRAPHIC
@@ -53,7 +54,8 @@ BLURRED = f32(0.3)          # roughness from which the world's blurred map, 2.8 
 class Surroundings(NamedTuple):
     """The scene beyond the picture.
 
-    albedo (T, 3, 3) and emission (T, 3) of the triangles, material (T,) int32; substance (M, 5) float32 of the materials:
+    albedo (T, 3, 3) and emission (T, 3) of the triangles, material (T,) int32; normals (T, 3, 3) int16, see
+    `core.frame.Geometry`, without a length where all triangles are flat; substance (M, 5) float32 of the materials:
     colour of the glossy lobe, roughness, F0 (see `passes.surroundings.substance_table`). sky and blurred_sky (h, w, 3): the
     world's radiance; lights_up: whether world or emissive surfaces light anything; shines: what rays may be aimed at.
     """
@@ -61,6 +63,7 @@ class Surroundings(NamedTuple):
     albedo: np.ndarray
     emission: np.ndarray
     material: np.ndarray
+    normals: np.ndarray
     substance: np.ndarray
     sky: np.ndarray
     blurred_sky: np.ndarray
@@ -68,7 +71,7 @@ class Surroundings(NamedTuple):
     shines: Shines
 
 
-@device_jit
+@inline_jit
 def colours_at(around, albedos, t, a, b, cosine):
     """(albedo, Glossy Color towards a direction at `cosine` to the normal, roughness, F0) of triangle t at (a, b) in it."""
     c, at = ONE - a - b, around.albedo[t]
@@ -79,6 +82,27 @@ def colours_at(around, albedos, t, a, b, cosine):
     rise = min(rise / max(flat, f32(1e-3)), f32(0.9))
     reflectance = substance[4] + (ONE - substance[4]) * rise
     return albedo, scaled(Vec3(substance[0], substance[1], substance[2]), reflectance), substance[3], substance[4]
+
+
+@inline_jit
+def normal_at(around, t, a, b, plane, side, to_ray):
+    """Unit shading normal of triangle t at (a, b) in it, facing the ray; `plane`, the triangle's own, for a flat one.
+
+    `side` is -1 where `plane` has been turned against the winding. A normal that has turned away from its own triangle says
+    nothing; one that has turned away from the ray alone, as they do along a coarse outline, is bent just as far as it takes.
+    """
+    if around.normals.shape[0] == 0:
+        return plane
+    c, at = side * (ONE - a - b), around.normals[t]
+    a, b = side * a, side * b
+    n = Vec3(c * f32(at[0, 0]) + a * f32(at[1, 0]) + b * f32(at[2, 0]),
+             c * f32(at[0, 1]) + a * f32(at[1, 1]) + b * f32(at[2, 1]),
+             c * f32(at[0, 2]) + a * f32(at[1, 2]) + b * f32(at[2, 2]))
+    if not dot(n, plane) > ZERO:
+        return plane
+    n = normalized_or(n, plane)
+    facing = dot(n, to_ray)
+    return n if facing >= LEAST_COSINE else normalized_or(along(n, to_ray, LEAST_COSINE - facing), plane)
 
 
 @inline_jit
@@ -105,28 +129,30 @@ def _shown_emission(own, seen, share):
 
 
 @inline_jit
-def _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m):
-    """`_shining` of what p, of normal n, sees in direction d."""
-    t, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, n, offset_m), d, offset_m), d, reach_m)
+def _shines(bvh, around, stack, p, plane, d, sky, offset_m, reach_m):
+    """`_shining` of what p, on a triangle of normal `plane`, sees in direction d."""
+    t, slot, _, _ = closest_hit(bvh, stack, begun(lifted(p, plane, offset_m), d, offset_m), d, reach_m)
     return _shining(bvh, around, slot, d, t, sky)
 
 
 @inline_jit
-def _from_above(bvh, around, stack, p, n, albedo, offset_m, reach_m, u, v, pick):
+def _from_above(bvh, around, stack, p, n, plane, albedo, offset_m, reach_m, u, v, pick):
     """Radiance that a matt surface sends back of what shines, by one ray: by the cosine, or every second one aimed there."""
     aims = has_aim(around.shines)
     if aims and pick < HALF:
         way, d, aimed, given = aim_at(around.shines, p, around.blurred_sky, reach_m, u, v, f32(2) * pick)
         cosine = dot(n, d)
-        if not aimed > ZERO or not cosine > ZERO:
+        if not aimed > ZERO or not min(cosine, dot(plane, d)) > ZERO:
             return Vec3(ZERO, ZERO, ZERO)
-        start = begun(lifted(p, n, offset_m), d, offset_m)
+        start = begun(lifted(p, plane, offset_m), d, offset_m)
         weight = cosine * INV_PI / (HALF * (aimed + cosine * INV_PI))
         weight *= visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO))
         return Vec3(weight * given.x * albedo.x, weight * given.y * albedo.y, weight * given.z * albedo.z)
     tangent, bitangent = tangent_frame(n)
     d = to_world(cosine_hemisphere(u, v), tangent, bitangent, n)
-    given, aimed = _shines(bvh, around, stack, p, n, d, around.blurred_sky, offset_m, reach_m)
+    if dot(plane, d) < ZERO:                     # Cycles drops these as well
+        return Vec3(ZERO, ZERO, ZERO)
+    given, aimed = _shines(bvh, around, stack, p, plane, d, around.blurred_sky, offset_m, reach_m)
     if aims:
         cosine = dot(n, d) * INV_PI
         albedo = scaled(albedo, cosine / (HALF * (aimed + cosine)))
@@ -134,7 +160,7 @@ def _from_above(bvh, around, stack, p, n, albedo, offset_m, reach_m, u, v, pick)
 
 
 @inline_jit
-def _from_lobe(bvh, around, stack, p, n, towards, specular, roughness, f0, albedos, offset_m, reach_m, u, v, pick):
+def _from_lobe(bvh, around, stack, p, n, plane, towards, specular, roughness, f0, albedos, offset_m, reach_m, u, v, pick):
     """Radiance that a glossy lobe sends `towards` of what shines, by one ray; of dim lobes by fewer: `pick` decides."""
     reflectance, cosine = max(specular.x, max(specular.y, specular.z)), dot(n, towards)
     chance = min(reflectance * f32(1 / DIM), ONE)
@@ -142,11 +168,13 @@ def _from_lobe(bvh, around, stack, p, n, towards, specular, roughness, f0, albed
         return Vec3(ZERO, ZERO, ZERO)
     alpha = roughness * roughness
     d, weight = sample_lobe(n, towards, alpha, u, v)
+    if dot(plane, d) < ZERO:
+        return Vec3(ZERO, ZERO, ZERO)
     if alpha >= LEAST_ALPHA:
         f0, gain = fit_lobe(reflectance, cosine, alpha, albedos, f0)
         weight *= gain * fresnel(max(dot(normalized_or(add(towards, d), n), towards), ZERO), f0) / fresnel(cosine, f0)
     sky, weight = around.blurred_sky if roughness > BLURRED else around.sky, weight / chance
-    given, _ = _shines(bvh, around, stack, p, n, d, sky, offset_m, reach_m)
+    given, _ = _shines(bvh, around, stack, p, plane, d, sky, offset_m, reach_m)
     return Vec3(weight * given.x * specular.x, weight * given.y * specular.y, weight * given.z * specular.z)
 
 
@@ -172,15 +200,15 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
             for c in range(3):
                 light[3 + c] = sky[row, column, c]
         else:
-            p, n, share = along(start, d, t), triangle_normal(bvh, slot), ZERO
-            if dot(n, d) > ZERO:
-                n = scaled(n, -ONE)
+            p, plane, side, share = along(start, d, t), triangle_normal(bvh, slot), ONE, ZERO
+            if dot(plane, d) > ZERO:
+                plane, side = scaled(plane, -ONE), -ONE
             across, down, depth = to_screen(screen, p)
             # only where the camera looks at the same side as the ray
             if (is_inside(screen, across, down) and (depth > ZERO or screen.projection == ORTHOGRAPHIC)
-                    and dot(n, view_vector(screen, p)) > ZERO):
+                    and dot(plane, view_vector(screen, p)) > ZERO):
                 h = height_at(screen, depth)
-                slope_x, slope_y = plane_slopes(screen, turn_to_view(screen, n), across, down, h)
+                slope_x, slope_y = plane_slopes(screen, turn_to_view(screen, plane), across, down, h)
                 if lit_there(screen, planes, gloss, across, down, h, slope_x, slope_y, light):
                     share = edge_fade(screen, across, down, rules.fade_px)
                     i, j = int(down), int(across)
@@ -192,6 +220,7 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                     for c in range(3):
                         light[c] += sent[c]
             source, to_ray = bvh.source[slot], scaled(d, -ONE)
+            n = normal_at(around, source, a, b, plane, side, to_ray)
             albedo, specular, roughness, f0 = colours_at(around, gloss.albedos, source, a, b, dot(n, to_ray))
             roughness = softened(roughness, receiver)
             matt, glossy = Vec3(ZERO, ZERO, ZERO), Vec3(ZERO, ZERO, ZERO)
@@ -201,17 +230,17 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                 if share < ONE:
                     u, v = r2_sequence(look, uniform(q, 11, seed), uniform(q, 12, seed))
                     pick = (uniform(q, 13, seed) + f32(look)) / f32(lookups)
-                    matt = add(matt, light_of_lamps(bvh, lights, stack, p, n, to_ray, albedo, specular, roughness, f0,
+                    matt = add(matt, light_of_lamps(bvh, lights, stack, p, n, plane, to_ray, albedo, specular, roughness, f0,
                                                     gloss.albedos, rules.offset_m, u, v, pick))
                 if around.lights_up:
                     u, v = r2_sequence(look, uniform(q, 14, seed), uniform(q, 15, seed))
                     if share < ONE:
                         pick = (uniform(q, 17, seed) + f32(look)) / f32(lookups)
-                        matt = add(matt, _from_above(bvh, around, stack, p, n, albedo, rules.offset_m, rules.reach_m, u, v,
-                                                     pick))
+                        matt = add(matt, _from_above(bvh, around, stack, p, n, plane, albedo, rules.offset_m, rules.reach_m,
+                                                     u, v, pick))
                     pick = (uniform(q, 16, seed) + f32(look)) / f32(lookups)
-                    glossy = add(glossy, _from_lobe(bvh, around, stack, p, n, to_ray, specular, roughness, f0, gloss.albedos,
-                                                    rules.offset_m, rules.reach_m, u, v, pick))
+                    glossy = add(glossy, _from_lobe(bvh, around, stack, p, n, plane, to_ray, specular, roughness, f0,
+                                                    gloss.albedos, rules.offset_m, rules.reach_m, u, v, pick))
             matt, glossy = scaled(matt, (ONE - share) / f32(lookups)), scaled(glossy, ONE / f32(lookups))
             own = load(around.emission, source)
             shown = _shown_emission(own, Vec3(light[3], light[4], light[5]), share)

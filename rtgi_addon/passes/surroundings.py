@@ -79,10 +79,11 @@ def surroundings_of(frame: Frame, geometry: Geometry) -> Surroundings:
     albedo = geometry.albedo
     if geometry.cutouts is not None:
         albedo = np.minimum(albedo / geometry.coverage(np.arange(len(geometry)))[:, None, None], 1)
+    normals = np.zeros((0, 3, 3)) if geometry.normals_ws is None else geometry.normals_ws
     return Surroundings(
         np.ascontiguousarray(albedo, np.float32), np.ascontiguousarray(geometry.emission, np.float32), material,
-        substance_table(frame.materials or (Material("none"),)), sky, blurred, bool(sky.any() or geometry.emission.any()),
-        shines_of(geometry, blurred))
+        np.ascontiguousarray(normals, np.int16), substance_table(frame.materials or (Material("none"),)), sky, blurred,
+        bool(sky.any() or geometry.emission.any()), shines_of(geometry, blurred))
 
 
 def seen_by_rays(origin_ws: np.ndarray, direction_ws: np.ndarray, frame: Frame, bvh: Bvh, around: Surroundings,

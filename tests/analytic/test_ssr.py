@@ -7,13 +7,25 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Geometry, Material, World
+from rtgi_addon.core.frame import Frame, Geometry, Light, LightKind, Material, World
 from rtgi_addon.core.synthetic import cast_view, make_room_frame, nearest_hit
 from rtgi_addon.core.techniques import SsrParams
 from rtgi_addon.core.transforms import Camera, Projection
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.ssr import compute_ssr
-from tests.mirror_frames import camera_at, glossy, lit, on_floor, painted, pixel_places, room_from_above, scene_frame, wall
+from tests.mirror_frames import (
+    camera_at,
+    coarse_ball,
+    glossy,
+    lit,
+    on_floor,
+    painted,
+    pixel_places,
+    room_from_above,
+    scene_frame,
+    shaded_smooth,
+    wall,
+)
 from tests.plane_frames import geometry_of, quad
 
 HALF_PIXEL = 0.5
@@ -225,3 +237,84 @@ def test_dim_lobes_bring_the_world_in_the_mean_by_fewer_rays():
     mean_rise = 2 / 42                               # of 2 (1 - c)^5 c over the cosines
     expected = (f0 + (1 - f0) * (1 - cosine) ** 5) * f0 / (f0 + (1 - f0) * mean_rise)
     assert light.mean() == pytest.approx(expected.mean(), rel=0.1)
+
+
+def ball_over_a_mirror(power: float = 1.0, **lamp) -> tuple[Frame, np.ndarray]:
+    """A floor, above it and out of the picture a ball of 16 by 8 facets, by a sun from the side; normals at the corners."""
+    ball, normals = coarse_ball((0.0, 1.0, 2.2), 0.9)
+    geometry = geometry_of(quad((0, 0, 0), 6, 6), ball)
+    camera = camera_at((0.0, -2.5, 1.6), (0.0, -0.6, 0.0), 64, 48, half=0.45)
+    down = np.array([[1.0, 0, 0, 0], [0, 0.6, -0.8, 0], [0, 0.8, 0.6, 0], [0, 0, 0, 1]])      # along -Z: (0, 0.8, -0.6)
+    sun = Light("Sun", LightKind.SUN, down, np.full(3, power), **lamp)
+    frame = scene_frame(camera, geometry, sun)
+    return glossy(frame, on_floor(frame), 0.0), np.concatenate([np.zeros((2, 3, 3)), normals])
+
+
+def mirrored_hits(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of the floor's mirror rays in float64: which meet the ball (N,) bool, and of these the triangle, barycentric weights
+    (n, 3) of its corners and the unit direction of the ray."""
+    p = frame.gbuffer.position_ws[on_floor(frame)].astype(np.float64)
+    d = p - frame.camera.position_ws
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    d[:, 2] *= -1
+    corners = frame.geometry.corners_ws.astype(np.float64)
+    t, triangle = nearest_hit(p + [0, 0, 1e-6], d, corners)
+    on_ball = triangle >= 2
+    place, (a, b, c) = (p + np.where(on_ball, t, 0)[:, None] * d)[on_ball], np.moveaxis(corners[triangle[on_ball]], 1, 0)
+    whole = np.cross(b - a, c - a)
+    shares = [np.einsum("ij,ij->i", np.cross(y - place, z - place), whole) for y, z in ((b, c), (c, a), (a, b))]
+    return on_ball, triangle[on_ball], np.stack(shares, 1) / np.square(whole).sum(1, keepdims=True), d[on_ball]
+
+
+def test_a_mirror_shows_a_smooth_ball_lit_by_its_shading_normals():
+    # a sun that casts no shadow: albedo / pi * E * (n . l), of each mirror ray's hit in float64
+    frame, normals = ball_over_a_mirror(casts_shadow=False)
+    smooth = dataclasses.replace(frame, geometry=shaded_smooth(frame.geometry, normals))
+    on_ball, triangle, weights, d = mirrored_hits(frame)
+    n = np.einsum("ic,icv->iv", weights, normals[triangle])
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    facing = -(n * d).sum(1) > 0.02
+    expected = 0.5 / np.pi * np.maximum(n @ -frame.lights[0].direction_ws, 0)
+    got, flat = (reflected(f, Context())[on_floor(frame)][on_ball, 0] for f in (smooth, frame))
+    assert facing.sum() > 400 and facing.mean() > 0.98
+    # normals in 16 bits and the places of hits in float32
+    np.testing.assert_allclose(got[facing], expected[facing], atol=2e-4 * expected.max())
+    assert np.abs(flat - expected)[facing].mean() > 0.05 * expected.mean()
+
+
+def test_a_ball_turned_inside_out_is_the_same_from_outside():
+    # the winding the other way round, and normals with it, as of a mirrored object
+    frame, normals = ball_over_a_mirror()
+    smooth = dataclasses.replace(frame, geometry=shaded_smooth(frame.geometry, normals))
+    turned = shaded_smooth(dataclasses.replace(frame.geometry, corners_ws=np.ascontiguousarray(
+        frame.geometry.corners_ws[:, ::-1])), -normals[:, ::-1])
+    a, b = (reflected(f, Context()) for f in (smooth, dataclasses.replace(frame, geometry=turned)))
+    # a ray may pass an edge between two triangles on the other side
+    assert a.any() and np.isclose(a, b, atol=1e-4 * a.max()).all(-1).mean() > 0.995
+
+
+def test_light_from_below_a_triangle_does_not_reach_it_whatever_its_normals_say():
+    # a sheet that faces the mirror, lit from behind; its normals lean towards the lamp
+    frame, _ = ball_over_a_mirror()
+    sheet = quad((0.0, 1.0, 2.2), 3.0, 3.0)
+    lean = np.broadcast_to(np.array([0.0, -0.995, -0.0999]), (4, 3, 3)).copy()
+    lean[:2] = 0
+    geometry = shaded_smooth(geometry_of(quad((0, 0, 0), 6, 6), sheet[:, ::-1]), lean)
+    frame = dataclasses.replace(frame, geometry=geometry)
+    assert (lean[2, 0] @ -frame.lights[0].direction_ws) > 0.5
+    assert not reflected(frame, Context()).any()
+    bare = dataclasses.replace(frame, lights=tuple(dataclasses.replace(x, casts_shadow=False) for x in frame.lights))
+    assert reflected(bare, Context()).any()
+
+
+def test_an_even_sky_lights_a_smooth_ball_as_a_flat_one():
+    # whatever the normals, half of a surface's surroundings is sky, less what its rays lose below the facets
+    frame, normals = ball_over_a_mirror(power=0.0)
+    frame = dataclasses.replace(frame, world=World(np.ones((1, 1, 3), np.float32)))
+    ball = np.arange(len(normals)) >= 2
+    geometry = dataclasses.replace(frame.geometry, albedo=np.where(ball[:, None, None], frame.geometry.albedo, 0))
+    smooth = shaded_smooth(geometry, normals)
+    on_ball, *_ = mirrored_hits(frame)
+    flat, got = (reflected(dataclasses.replace(frame, geometry=g), Context())[on_floor(frame)][on_ball].mean()
+                 for g in (geometry, smooth))
+    assert 0.95 * flat < got < 1.02 * flat

@@ -390,3 +390,177 @@ def test_reading_leaves_the_file_clean(bpy, read, tmp_path):
     before = bpy.data.is_dirty  # the bpy module of 4.5 always says True
     read()
     assert bpy.data.is_dirty == before
+
+
+def add_sphere(bpy, **placement):
+    """A unit sphere of 32 x 16 quads, shaded smooth, of which one quad in the middle faces +X."""
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=32, ring_count=16, radius=1)
+    sphere = bpy.context.object
+    sphere.data.polygons.foreach_set("use_smooth", np.ones(len(sphere.data.polygons), bool))
+    for key, value in placement.items():
+        setattr(sphere, key, value)
+    return sphere
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def middle_normals(geometry):
+    """(T, 3): the corners' normals interpolated to the middle of each triangle."""
+    return unit(geometry.normals_ws.astype(np.float64).sum(1))
+
+
+def face_normals(geometry):
+    """(T, 3): normals of the triangles by their winding."""
+    a, b, c = np.moveaxis(geometry.corners_ws.astype(np.float64), 1, 0)
+    return unit(np.cross(b - a, c - a))
+
+
+def degrees_apart(a, b):
+    return np.degrees(2 * np.arcsin(np.linalg.norm(a - b, axis=-1) / 2))
+
+
+def ellipsoid_normals(geometry, axes, centre=(0, 0, 0)):
+    """(T, 3): outward normals of an ellipsoid at the middles of the triangles."""
+    return unit((geometry.corners_ws.mean(1) - np.array(centre)) / np.square(axes))
+
+
+# normals at vertices are means of those of faces, by angle: as far off the sphere's own where quads become triangles
+SPHERE_DEG = 1.0
+
+
+def test_flat_objects_hold_no_normals(bpy, read):
+    bpy.ops.mesh.primitive_cube_add()
+    triangle(bpy)
+    assert read().normals_ws is None
+
+
+def test_a_smooth_sphere_has_the_normals_of_the_sphere(bpy, read):
+    add_sphere(bpy)
+    geometry = read()
+    assert geometry.normals_ws.dtype == np.int16 and geometry.normals_ws.shape == (len(geometry), 3, 3)
+    np.testing.assert_allclose(np.linalg.norm(geometry.normals_ws.astype(float), axis=-1), 32767, atol=1)
+    assert degrees_apart(middle_normals(geometry), ellipsoid_normals(geometry, (1, 1, 1))).max() < SPHERE_DEG
+
+
+def test_a_turned_and_stretched_object_has_the_normals_of_its_shape(bpy, read):
+    add_sphere(bpy, scale=(3, 1, 0.5), location=(5, 0, 0))
+    geometry = read()
+    # a long axis bends the middle of a triangle off the mean of its corners
+    apart = degrees_apart(middle_normals(geometry), ellipsoid_normals(geometry, (3, 1, 0.5), (5, 0, 0)))
+    assert np.median(apart) < SPHERE_DEG and apart.max() < 6
+    bpy.context.object.rotation_euler = (0, 0, math.pi / 2)
+    turned = read()
+    expected = middle_normals(geometry)[:, [1, 0, 2]] * [-1, 1, 1]
+    assert degrees_apart(middle_normals(turned), expected).max() < 0.02
+
+
+@pytest.mark.parametrize("scale", [(-1, 1, 1), (-1, -1, -1), (1, 1, -2)])
+def test_normals_of_a_mirrored_object_are_on_the_side_of_its_winding(bpy, read, scale):
+    add_sphere(bpy, scale=scale)
+    geometry = read()
+    winding = face_normals(geometry)
+    # mirrored, the corners go round the other way, and the winding says that the inside is out
+    assert (winding * geometry.corners_ws.mean(1)).sum(-1).max() < 0
+    assert degrees_apart(middle_normals(geometry), -ellipsoid_normals(geometry, scale)).max() < 2 * SPHERE_DEG
+
+
+def test_instances_have_normals_of_their_own(bpy, read):
+    collection = bpy.data.collections.new("Kit")
+    sphere = add_sphere(bpy)
+    collection.objects.link(sphere)
+    bpy.context.scene.collection.objects.unlink(sphere)
+    for x, scale in ((0, (1, 1, 1)), (10, (1, 1, -1))):
+        empty = bpy.data.objects.new("Place", None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", collection
+        empty.location, empty.scale = (x, 0, 0), scale
+        bpy.context.scene.collection.objects.link(empty)
+    geometry = read()
+    is_mirrored = geometry.corners_ws[:, 0, 0] > 5
+    outwards = unit(geometry.corners_ws.mean(1) - np.where(is_mirrored, 10.0, 0.0)[:, None] * [1, 0, 0])
+    outwards[is_mirrored] *= -1
+    assert is_mirrored.sum() * 2 == len(geometry)
+    assert degrees_apart(middle_normals(geometry), outwards).max() < SPHERE_DEG
+
+
+def test_a_flat_object_beside_a_smooth_one_holds_zeros(bpy, read):
+    add_sphere(bpy)
+    bpy.ops.mesh.primitive_cube_add(location=(9, 0, 0))
+    geometry = read()
+    is_cube = geometry.corners_ws[:, 0, 0] > 5
+    assert is_cube.sum() == 12 and not geometry.normals_ws[is_cube].any()
+    assert geometry.normals_ws[~is_cube].any((1, 2)).all()
+
+
+def test_flat_faces_of_a_smooth_mesh_hold_zeros(bpy, read):
+    sphere = add_sphere(bpy)
+    for polygon in sphere.data.polygons:
+        polygon.use_smooth = polygon.center.z > 0
+    geometry = read()
+    is_smooth = geometry.corners_ws.mean(1)[:, 2] > 0
+    assert not geometry.normals_ws[~is_smooth].any()
+    assert geometry.normals_ws[is_smooth].any((1, 2)).all()
+
+
+def test_sharp_edges_part_the_normals_of_their_sides(bpy, read):
+    bpy.ops.mesh.primitive_cylinder_add(vertices=32)
+    mesh = bpy.context.object.data
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
+    mesh.set_sharp_from_angle(angle=math.radians(30))
+    geometry = read()
+    is_cap = np.abs(face_normals(geometry)[:, 2]) > 0.9
+    # the caps are plane, and the side is a circle's, to the corner
+    corners = unit(geometry.normals_ws.astype(np.float64))
+    assert degrees_apart(corners[is_cap], face_normals(geometry)[is_cap][:, None]).max() < 0.02
+    assert degrees_apart(corners[~is_cap], unit(geometry.corners_ws[~is_cap] * [1, 1, 0])).max() < 0.1
+
+
+def test_custom_normals_are_read(bpy, read):
+    mesh = new_object(bpy, [*TRIANGLE, (1, 1, 0)], [(0, 1, 2), (1, 3, 2)]).data
+    mesh.normals_split_custom_set([(0.6, 0, 0.8)] * 3 + [(0, 0, 1)] * 3)
+    # of triangles these corners are in order; Blender keeps an angle in 16 bits
+    expected = np.repeat([[[0.6, 0, 0.8]], [[0, 0, 1]]], 3, 1)
+    assert degrees_apart(unit(read().normals_ws.astype(np.float64)), expected).max() < 0.02
+
+
+def test_normals_come_with_the_triangles_of_cut_quads_and_with_modifiers(bpy, read):
+    sphere = add_sphere(bpy)
+    sphere.data.polygons[0].use_smooth = False                # so that corners tell, not vertices
+    sphere.modifiers.new("Subdivision", "SUBSURF")
+    geometry = read()
+    is_smooth = geometry.normals_ws.any((1, 2))
+    assert len(geometry) > 3 * 960 and is_smooth.mean() > 0.99
+    apart = degrees_apart(unit(geometry.normals_ws[is_smooth].astype(float).sum(1)), face_normals(geometry)[is_smooth])
+    assert np.quantile(apart, 0.99) < 6                       # within a facet of 32
+
+
+def test_curves_have_normals(bpy, read):
+    bpy.ops.curve.primitive_bezier_circle_add()
+    bpy.context.object.data.bevel_depth = 0.1
+    geometry = read()
+    ring = unit(geometry.corners_ws.mean(1) * [1, 1, 0])
+    outwards = unit(geometry.corners_ws.mean(1) - ring)
+    # the tube is round and its ring of radius 1, to what a Bezier circle is off
+    assert np.median(degrees_apart(middle_normals(geometry) * np.sign((face_normals(geometry) * outwards).sum(-1))[:, None],
+                                   outwards)) < 5
+
+
+def test_triangles_that_are_left_out_take_their_normals_along(bpy, read):
+    sphere = add_sphere(bpy)
+    paint(bpy, sphere)
+    paint(bpy, sphere, Alpha=0.0)
+    for polygon in sphere.data.polygons:
+        polygon.material_index = int(polygon.center.z > 0)
+    geometry = read()
+    assert geometry.corners_ws[..., 2].max() < 1e-6
+    assert degrees_apart(middle_normals(geometry), ellipsoid_normals(geometry, (1, 1, 1))).max() < SPHERE_DEG
+
+
+def test_a_broken_vertex_or_a_flattened_object_has_normals_without_direction_or_sound_ones(bpy, read):
+    sphere = add_sphere(bpy)
+    sphere.data.vertices[40].co.x = math.nan
+    add_sphere(bpy, scale=(1, 1, 0))
+    add_sphere(bpy, scale=(0, 0, 0))
+    size = np.linalg.norm(read().normals_ws.astype(float), axis=-1)
+    assert ((size == 0) | (np.abs(size - 32767) < 1)).all()

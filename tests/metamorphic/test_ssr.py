@@ -17,7 +17,18 @@ from rtgi_addon.kernels.jit import kernel_session
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.ssr import compute_ssr, step_of_pixels
 from rtgi_addon.planner import CapturePlan, plan_frame
-from tests.mirror_frames import camera_at, glossy, lit, on_floor, painted, room_from_above, scene_frame, wall
+from tests.mirror_frames import (
+    camera_at,
+    coarse_ball,
+    glossy,
+    lit,
+    on_floor,
+    painted,
+    room_from_above,
+    scene_frame,
+    shaded_smooth,
+    wall,
+)
 from tests.moved_frames import moved, turn
 from tests.plane_frames import geometry_of, quad
 
@@ -166,6 +177,43 @@ def test_emission_in_a_mirror_is_light_without_a_bounce():
     seen = light[Transport.WORLD_GLOSSY][on_floor(frame)]
     # in the picture and, for the rays that leave it, by the triangles
     np.testing.assert_allclose(seen, np.float32([[0.8, 0.4, 0.2]]).repeat(len(seen), 0), rtol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["TRIANGLES", "HIERARCHY"])
+def test_triangles_that_are_all_flat_are_lit_as_without_normals(room, method):
+    # by zeros, and by normals that have turned away from their triangles
+    context = lit(room)
+    expected = run(room, context, method=method).light
+    a, b, c = np.moveaxis(room.geometry.corners_ws.astype(np.float64), 1, 0)
+    away = np.repeat(np.cross(c - a, b - a)[:, None], 3, 1)
+    for normals in (np.zeros_like(away), away / np.linalg.norm(away, axis=-1, keepdims=True)):
+        flat = dataclasses.replace(room, geometry=shaded_smooth(room.geometry, normals))
+        got = run(flat, context, method=method).light
+        for transport in GLOSSY:
+            np.testing.assert_array_equal(got[transport], expected[transport])
+
+
+def test_flat_triangles_keep_their_light_beside_smooth_ones(room):
+    # a smooth ball that no ray of the floor meets, and that stands in no light
+    ball, normals = coarse_ball((0.0, 0.0, -50.0), 1.0)
+    geometry, more = room.geometry, geometry_of(ball)
+    both = Geometry(*(np.concatenate([getattr(geometry, name), getattr(more, name)])
+                      for name in ("corners_ws", "albedo", "emission", "material")))
+    normals = np.concatenate([np.zeros(geometry.corners_ws.shape), normals])
+    context = lit(room)
+    a, b = (run(dataclasses.replace(room, geometry=g), context).light for g in (both, shaded_smooth(both, normals)))
+    for transport in GLOSSY:
+        np.testing.assert_array_equal(a[transport], b[transport])
+
+
+def test_normals_of_triangles_in_any_direction_give_a_picture(rng):
+    frame = all_mirrors(make_room_frame(24, 18, tuple(LightKind), world_radiance=0.5), 0.2)
+    normals = rng.normal(size=frame.geometry.corners_ws.shape)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    geometry = shaded_smooth(frame.geometry, normals)
+    context = lit(frame)
+    for around in (geometry, dataclasses.replace(geometry, normals_ws=np.full_like(geometry.normals_ws, -32768))):
+        assert is_sound(run(dataclasses.replace(frame, geometry=around), context))
 
 
 def test_planner_leaves_reflections_out_where_nothing_is_glossy():

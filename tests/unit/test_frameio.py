@@ -50,6 +50,13 @@ def test_cutouts_come_back(frame, tmp_path, rng):
     assert_same(frame, frameio.load_frame(tmp_path / "frame.npz"))
 
 
+def test_shading_normals_come_back(frame, tmp_path, rng):
+    normals = rng.integers(-32767, 32768, (len(frame.geometry), 3, 3)).astype(np.int16)
+    frame = dataclasses.replace(frame, geometry=dataclasses.replace(frame.geometry, normals_ws=normals))
+    frameio.save_frame(tmp_path / "frame.npz", frame)
+    assert_same(frame, frameio.load_frame(tmp_path / "frame.npz"))
+
+
 def test_a_frame_without_geometry_comes_back_without(frame, tmp_path):
     frame = dataclasses.replace(frame, geometry=None)
     frameio.save_frame(tmp_path / "frame.npz", frame)
