@@ -7,6 +7,8 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from .core.frame import LightKind
 from .core.params import Params
 from .core.synthetic import make_room_frame
@@ -36,11 +38,12 @@ def variants(params: Params) -> Iterator[tuple[str, Params]]:
 def warm_up(threads: int = 0) -> Iterator[Step]:
     """Yield a step after each technique's kernels are ready; what is in the cache already takes almost no time."""
     start = time.perf_counter()
-    from . import light_views
+    from . import emitter_lamps, light_views
     from .kernels.jit import kernel_session
     from .passes import technique
     from .passes.base import Context
     from .passes.surroundings import surroundings_of
+    from .passes.wide_lamps import spread_texels
 
     frame = make_room_frame(32, 24, tuple(LightKind), world_radiance=0.5)
     context = Context()
@@ -51,6 +54,11 @@ def warm_up(threads: int = 0) -> Iterator[Step]:
         for light in frame.lights:
             camera = light_views.camera_of(light, frame, bvh, ViewFormat(192))
             light_views.cast_view(light, camera, frame, bvh, around)
+        for view in frame.views:
+            if frame.lights[view.light_index].kind.is_area:
+                spread_texels(frame, view, bvh)
+        shining = dataclasses.replace(frame.geometry, emission=np.ones_like(frame.geometry.emission))
+        emitter_lamps.part_emitters(shining, frame.materials, bvh)
     yield Step("light views", time.perf_counter() - start)
     for name, kind in TECHNIQUE_PARAMS.items():
         for words, params in variants(kind()):

@@ -35,11 +35,15 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "budget": frozenset({"rtgi_addon.core", "rtgi_addon.kernels.jit", "rtgi_addon.kernels.probe", "rtgi_addon.planner"}),
     "composite": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.passes", "rtgi_addon.errors"}),
     "frameio": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.errors"}),
-    "light_views": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.kernels", "rtgi_addon.errors"}),
+    "light_views": frozenset({
+        "numpy", "rtgi_addon.core", "rtgi_addon.kernels", "rtgi_addon.passes.surroundings", "rtgi_addon.errors"}),
+    "emitter_lamps": frozenset({"numpy", "rtgi_addon.core", "rtgi_addon.kernels"}),
     "pipeline": frozenset({
         "numpy", "numba", "rtgi_addon", "rtgi_addon.composite", "rtgi_addon.core", "rtgi_addon.errors",
         "rtgi_addon.kernels.embree", "rtgi_addon.kernels.jit", "rtgi_addon.passes", "rtgi_addon.planner"}),
-    "warmup": frozenset({"rtgi_addon.core", "rtgi_addon.kernels.jit", "rtgi_addon.passes", "rtgi_addon.light_views"}),
+    "warmup": frozenset({
+        "numpy", "rtgi_addon.core", "rtgi_addon.emitter_lamps", "rtgi_addon.kernels.jit", "rtgi_addon.passes",
+        "rtgi_addon.light_views"}),
     "compare": frozenset({
         "numpy", "rtgi_addon", "rtgi_addon.compare", "rtgi_addon.composite", "rtgi_addon.core", "rtgi_addon.errors",
         "rtgi_addon.frameio", "rtgi_addon.imageio", "rtgi_addon.passes", "rtgi_addon.pipeline", "rtgi_addon.planner"}),
@@ -53,8 +57,9 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
         "rtgi_addon.light_views"},
     "imageio": BLENDER | {"numpy", "rtgi_addon.core", "rtgi_addon.errors"},
     "engine": BLENDER | {
-        "numpy", "rtgi_addon.budget", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.errors", "rtgi_addon.kernels.jit",
-        "rtgi_addon.light_views", "rtgi_addon.passes", "rtgi_addon.pipeline", "rtgi_addon.planner", "rtgi_addon.ui.props"},
+        "numpy", "rtgi_addon.budget", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.emitter_lamps",
+        "rtgi_addon.errors", "rtgi_addon.kernels.jit", "rtgi_addon.light_views", "rtgi_addon.passes", "rtgi_addon.pipeline",
+        "rtgi_addon.planner", "rtgi_addon.ui.props"},
     "ui": BLENDER | {"numpy", "rtgi_addon"},
     "cli": BLENDER | {"numpy", "rtgi_addon"},
     "doctor": BLENDER | {"numpy", "numba", "rtgi_addon"},

@@ -44,10 +44,10 @@ def captured(scene: Any, size: tuple[int, int], settings: Settings | None = None
 
 
 def _asking_for_all() -> Settings:
-    """The default settings, with views of lamps that serve every technique."""
+    """The default settings, with views of lamps that serve every technique, and emissive surfaces left to theirs."""
     settings = default_settings()
     most = max(getattr(params, "map_texels", 0) for params in settings.params.values())
-    return settings.with_params("rsm", map_texels=most)
+    return settings.with_params("rsm", map_texels=most).with_params("emission", as_lamps=False)
 
 
 @contextlib.contextmanager

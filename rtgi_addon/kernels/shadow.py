@@ -192,7 +192,7 @@ def _spread(m, k, h):
     """Texels by which a silhouette of height h may darken what lies infinitely far behind it; less those of a point's own
     height, what it may darken there.
 
-    On a plane they are k h. Around a lamp the half shadow of an occluder at distance d ends where the cone of a farther point
+    On a plane they are k h. Around a lamp the half shadow of an occluder at distance d ends where a farther point's cone
     around the lamp, a ball of radius R, touches it: asin(R / d) - asin(R / distance of the point).
     """
     if m.projection != EQUIRECTANGULAR:

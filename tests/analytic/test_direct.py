@@ -7,9 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Light, LightKind
+from rtgi_addon.core.frame import Frame, Light, LightKind, LightView
+from rtgi_addon.core.radiometry import texel_flux
 from rtgi_addon.core.synthetic import cast_view
 from rtgi_addon.core.techniques import DirectParams
+from rtgi_addon.core.transforms import ViewFormat
+from rtgi_addon.light_views import sphere_camera
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.direct import compute_direct
 from tests.plane_frames import frame_of, geometry_of, looking, plane_frame, quad, view_from
@@ -155,6 +158,34 @@ def test_half_shadow_of_a_square_grows_linearly_with_the_sun_disk_uncovered(map_
     got = diffuse(frame, soft_shadow_rays=1024)[..., 0] / bare[..., 0]
     # 1024 stratified rays: 1/2 % of noise; six pilots miss up to 3 % at the edges of the half shadow
     np.testing.assert_allclose(got[row], share[row], atol=0.035)
+
+
+def test_half_shadow_of_a_long_lamp_passes_under_what_its_centre_sees():
+    """A table under a lamp of five metres: light of the lamp's ends reaches what the table hides from its centre."""
+    floor, table = quad((0, 0, 0), 8, 8), quad((0.1, 0, 0.3), 0.8, 0.6)
+    light = Light("Lamp", LightKind.RECTANGLE, DOWN, WHITE, size_x_m=5.0, size_y_m=0.35)
+    both, camera = geometry_of(floor, table), view_from((0, 0, 3), (0, 0, 0), 0.5, 96, 96)
+    eye = sphere_camera(light, ViewFormat(32768))
+    view = LightView(0, eye, cast_view(eye, both), texel_flux(light, eye))
+    frame = Frame(camera, cast_view(camera, geometry_of(floor)), (light,), (view,), both)
+    wanted, got = (diffuse(frame, soft_shadow_rays=256, exact_shadows=exact)[..., 0] for exact in (True, False))
+    assert wanted.min() < 0.3 * wanted.max()
+    # 256 stratified rays both times, and what pilots settle; the map's word for it was off by a twelfth
+    assert np.abs(got - wanted).sum() < 0.02 * wanted.sum()
+    assert got.sum() == pytest.approx(wanted.sum(), rel=0.005)
+
+
+def test_tail_of_a_narrow_lobe_shows_a_thin_lamp_without_grain():
+    light = Light("Lamp", LightKind.RECTANGLE, DOWN, WHITE, size_x_m=5.0, size_y_m=0.05)
+    frame = plane_frame(light)
+    g = frame.gbuffer
+    g.roughness[:], g.specular[:] = 0.2, 0.5
+    one, other = (compute_direct(frame, DirectParams(), Context(), seed).light[Transport.DIRECT_GLOSSY][..., 0]
+                  for seed in (0, 1))
+    tail = (one + other > 1e-3 * (one + other).max()) & (one + other < 0.1 * (one + other).max())
+    assert tail.sum() > 50
+    # with rays of the lobe alone, most of which miss the lamp, it was more than a half
+    assert np.median(np.abs(one - other)[tail] / (one + other)[tail]) < 0.05
 
 
 @pytest.mark.parametrize("kind", [LightKind.POINT, LightKind.SPOT, LightKind.SUN])

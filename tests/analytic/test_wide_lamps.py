@@ -144,8 +144,8 @@ def test_board_before_the_centre_does_not_stop_the_rest():
     board = quad((0, 0, 1.51), 0.05, 0.05)
     geometry = geometry_of(frame.geometry.corners_ws, board)
     eye = frame.views[0].camera
-    blocked = Frame(frame.camera, frame.gbuffer, (lamp,), (LightView(0, eye, cast_view(eye, geometry), texel_flux(lamp, eye)),),
-                    geometry)
+    view = LightView(0, eye, cast_view(eye, geometry), texel_flux(lamp, eye))
+    blocked = Frame(frame.camera, frame.gbuffer, (lamp,), (view,), geometry)
     wide = spread(blocked)
     beyond = wide.surfaces.position_ws[..., 2] != np.float32(1.51)
     # the board is a hundredth of the lamp's area and close before it

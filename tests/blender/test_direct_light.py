@@ -112,6 +112,30 @@ def test_highlights_of_other_indices_are_those_of_cycles(bpy_session, small_scen
     assert got.sum() == pytest.approx(mean.sum(), rel=0.05)
 
 
+@pytest.mark.parametrize("shines", [False, True])
+def test_light_passes_through_what_casts_no_shadow(bpy_session, small_scene, shines):
+    """A cube around the lamp, as a bulb's glass is; one that shines does so beside the lamp."""
+    from rtgi_addon.passes.base import Transport
+
+    bpy = bpy_session
+    light_with(bpy, small_scene, "round point")
+    bpy.ops.mesh.primitive_cube_add(size=0.8, location=small_scene.objects["Lamp"].location)
+    glass = bpy.context.object
+    glass.visible_shadow = False
+    material = bpy.data.materials["Floor"].copy()
+    shader = material.node_tree.nodes["Principled BSDF"]
+    shader.inputs["Emission Color"].default_value = (1.0, 0.5, 0.2, 1.0)
+    shader.inputs["Emission Strength"].default_value = 2.0 if shines else 0.0
+    glass.data.materials.append(material)
+    bpy.context.view_layer.update()
+    transports, reference = rtgi_and_cycles(small_scene)
+    mask = reference.mask & (np.abs(reference.albedo - 0.8).max(-1) > 1e-3)      # the wall and the small cube
+    got = transports[Transport.DIRECT_DIFFUSE] + transports.get(Transport.EMISSION_DIFFUSE, 0)
+    got, mean = (got / np.pi * reference.albedo)[mask], reference.mean("direct diffuse")[mask]
+    assert got.sum() == pytest.approx(mean.sum(), rel=0.03)
+    assert np.abs(got - mean).sum() < 0.06 * mean.sum()
+
+
 def sky_over(bpy, scene, kind):
     """A world with a sun in it for the scene in place of its lamp."""
     bpy.data.objects.remove(scene.objects["Spot"])

@@ -21,7 +21,8 @@ def add_emitter(bpy, scene, shape):
         bpy.ops.mesh.primitive_plane_add(size=1.0, location=place, rotation=(0.3, 0.2, 0.5))
         bpy.context.object.scale = (1.2, 0.3, 1.0)
     elif shape == "disk":
-        bpy.ops.mesh.primitive_circle_add(radius=0.5, vertices=32, fill_type="NGON", location=place, rotation=(0.2, -0.3, 0.0))
+        bpy.ops.mesh.primitive_circle_add(radius=0.5, vertices=32, fill_type="NGON", location=place,
+                                          rotation=(0.2, -0.3, 0.0))
     elif shape == "ball":
         bpy.ops.mesh.primitive_uv_sphere_add(radius=0.25, location=place)
     else:
