@@ -189,19 +189,17 @@ def _spread_reach(reach, tallest, is_wrapped):
 
 @inline_jit
 def _spread(m, k, h):
-    """Texels by which a silhouette of height h may darken what lies infinitely far behind it; less those of a point's own
-    height, what it may darken there.
+    """Texels that a silhouette's `reach` is less at a point of height h.
 
     On a plane they are k h. Around a lamp the half shadow of an occluder at distance d ends where a farther point's cone
-    around the lamp, a ball of radius R, touches it: asin(R / d) - asin(R / distance of the point).
+    around the lamp, a ball of radius R, touches it: asin(R / d) - asin(R / distance of the point). What lies within the ball
+    darkens in all directions.
     """
     if m.projection != EQUIRECTANGULAR:
         return k * h
     step = min(m.step_x, m.step_y)
     sine = m.k * step * h
-    if sine < SMALL_SINE:
-        return k * h
-    return (math.asin(sine) if sine < ONE else f32(math.pi)) * k / (m.k * step)
+    return k * h if sine < SMALL_SINE else math.asin(min(sine, ONE)) * k / (m.k * step)
 
 
 @inline_jit

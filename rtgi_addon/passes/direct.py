@@ -36,6 +36,7 @@ NONE, MAP, RAYS = 0, 1, 2   # how a light's shadows are found
 PILOTS = 8                  # rays that decide whether a pixel lies in half shadow; four, to the rim, miss thin things
 BIG_PILOTS = 8              # more of them, inside the shape, for lamps that look large
 BIG = f32(0.1)              # half size over distance from which a lamp looks large
+WIDE = f32(0.4)             # from which half shadows are everywhere, and samples cost no more than pilots
 TILE_PIXELS = 1 << 17       # pixels between two looks at Esc
 TILE_RAYS = 1 << 21         # and rays at most: some half a second's
 POSITION_ERROR = f32(2e-6)  # of the distance to the viewer and of the coordinates
@@ -442,14 +443,14 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots,
     """(share of the irradiance, share of the glossy light) that arrives at p.
 
     Pilots to the rim and half-way in come first, for lamps that look large more of them; where they agree (behind a pane
-    too) they decide, otherwise `rays` samples do, in proportion to what each would carry. Without pilots the samples
-    always do.
+    too) they decide, otherwise `rays` samples do, in proportion to what each would carry. Without pilots, and of lamps
+    that look larger still, the samples always do.
     """
     size = lamps.apparent_size(lamp, p)
     if size == ZERO:
         pilots = 1
     elif pilots > 0 and size > BIG:
-        pilots += BIG_PILOTS
+        pilots = pilots + BIG_PILOTS if size < WIDE else 0
     alpha = max(max(alpha, f32(0.3) * min(size, ONE)), lamps.LEAST_ALPHA)
     first, diffuse_all, diffuse_seen, glossy_all, glossy_seen = ONE, ZERO, ZERO, ZERO, ZERO
     i, last = 0, pilots if pilots > 0 else rays

@@ -183,9 +183,9 @@ def test_tail_of_a_narrow_lobe_shows_a_thin_lamp_without_grain():
     one, other = (compute_direct(frame, DirectParams(), Context(), seed).light[Transport.DIRECT_GLOSSY][..., 0]
                   for seed in (0, 1))
     tail = (one + other > 1e-3 * (one + other).max()) & (one + other < 0.1 * (one + other).max())
-    assert tail.sum() > 50
+    assert tail.sum() > 30
     # with rays of the lobe alone, most of which miss the lamp, it was more than a half
-    assert np.median(np.abs(one - other)[tail] / (one + other)[tail]) < 0.05
+    assert np.median(np.abs(one - other)[tail] / (one + other)[tail]) < 0.15
 
 
 @pytest.mark.parametrize("kind", [LightKind.POINT, LightKind.SPOT, LightKind.SUN])
