@@ -151,10 +151,11 @@ def _not_needed(name: str, frame: Frame, mask: np.ndarray) -> str | None:
     if name in ("world", "hbao", "ssao") and frame.world.is_black:
         return "the world is black"
     has_emitters = frame.geometry is not None and bool(frame.geometry.emission.any())
+    nothing_shines = "what shines is lit with as lamps" if any(x.is_surface for x in frame.lights) else "no surface shines"
     if name == "emission" and not has_emitters:
-        return "no surface shines"
+        return nothing_shines
     if name == "final_gather" and frame.world.is_black and not has_emitters:
-        return "the world is black, and no surface shines"
+        return f"the world is black, and {nothing_shines}"
     if name == "ssr" and not ((brightest(frame.gbuffer.specular) > NEGLIGIBLE) & mask).any():
         return "no surface in view is glossy"
     if name == "ssr" and not (frame.lights or not frame.world.is_black or frame.gbuffer.emission[mask].any()

@@ -77,3 +77,20 @@ def test_lamps_views_hold_what_the_techniques_that_look_into_them_ask_for():
     both = default_settings(techniques=["rsm", "vxgi"]).with_params("rsm", map_texels=1000)
     assert texels(both.with_params("vxgi", map_texels=5000)) == 5000
     assert texels(default_settings(techniques=["ssr"])) == planner.SHADOW_TEXELS
+
+
+def test_the_plan_says_that_lamps_stand_for_what_shines():
+    frame = make_room_frame(8, 8, (LightKind.POINT,))
+    lamp = dataclasses.replace(frame.lights[0], is_surface=True)
+    plan = planner.plan_frame(dataclasses.replace(frame, lights=(lamp,)), default_settings(), planner.CapturePlan())
+    assert ("Emissive Surfaces", "what shines is lit with as lamps") in plan.left_out
+    assert ("Final Gathering", "the world is black, and what shines is lit with as lamps") in plan.left_out
+
+
+def test_beside_what_casts_no_shadow_all_views_are_cast_and_the_plan_says_so():
+    lamps = make_room_frame(8, 8, (LightKind.POINT, LightKind.RECTANGLE)).lights
+    plain, without = (planner.plan_capture(planner.SceneFacts(lamps, "black", False, False, shadowless), default_settings(),
+                                           np.zeros(3), 1.0) for shadowless in (False, True))
+    assert plain.cycles_views == (0, 1) and plain.cast_views == ()
+    assert without.cycles_views == () and without.cast_views == (0, 1)
+    assert any(what == "Cycles views of lamps" and "cast no shadow" in why for what, why in without.left_out)
