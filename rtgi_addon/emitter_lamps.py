@@ -72,6 +72,8 @@ def _is_open(side: Light, shape: Shape, geometry: Geometry, bvh: Bvh) -> bool:
     distance, slot, _, _ = cast_rays(origin.astype(np.float32), (way @ side.world_from_light[:3, :3].T).astype(np.float32),
                                      bvh, f32(0), f32(reach_m))
     met = bvh.source[np.maximum(slot, 0)]
-    is_body = geometry.emission[met].any(1) & (geometry.material[met] == geometry.material[shape.triangles[0]])
-    is_closed = (slot >= 0) & ((distance < CLOSE * shape.span_m) | is_body)
-    return bool(np.mean(~is_closed) > OPEN)
+    is_close = (slot >= 0) & (distance < CLOSE * shape.span_m)
+    is_body = (slot >= 0) & geometry.emission[met].any(1) & (
+        geometry.material[met] == geometry.material[shape.triangles[0]])
+    # a room whose walls shine has something in it
+    return bool(np.mean(~is_close) > OPEN and (~is_close & ~is_body).any())

@@ -23,6 +23,7 @@ ROUND = 0.02                # relative: of the radius, squared, that corners are
 LEAST_CORNERS = 12          # of a disk
 MOST_SIDES = 16             # of an outline that are tried as those of a rectangle
 LEAST_BALL = 0.85           # area of a ball's triangles over the sphere's: 20 of them have .76, 80 have .93
+WIDEST_BALL = 0.5           # diameter over the longest edge of the scene's bounds: a wider one is a dome around the scene
 LIFT = 1e-4                 # of its longest edge that a lamp stands before its surface
 
 
@@ -87,7 +88,7 @@ def find_shapes(geometry: Geometry) -> list[Shape]:
         for number in np.flatnonzero(share >= LEAST_SHARE):
             mine = np.flatnonzero(part == number)
             shape = shape_of(index[chosen[mine]], corners[mine], across[mine], radiance[mine[0]])
-            if shape is not None:
+            if shape is not None and (shape.kind is not LightKind.POINT or shape.span_m < WIDEST_BALL * geometry.scale_m):
                 is_left[mine] = False
                 shapes.append(shape)
     return shapes

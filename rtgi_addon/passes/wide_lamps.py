@@ -1,8 +1,8 @@
 """What a lamp that is wide beside its distance lights: rays from all over it, where its view shows what its centre sees.
 
-A tube under a ceiling, a panel close to a wall or a ceiling that shines light what their centre does not see, and as far as
-their centre does, not as it says. A texel of a view is the light that leaves the lamp in one direction, from whatever place
-on it. Here each texel's ray starts at a place of its own, so that those of any block start all over the lamp.
+A tube under a ceiling, a panel close to a wall or a ceiling that shines light much that their centre does not see. A texel
+of a view is the light that leaves the lamp in one direction, from whatever place on it. Here each texel's ray starts at a
+place of its own, so that those of any block start all over the lamp.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def spread_texels(frame: Frame, view: LightView, bvh: Bvh) -> WideTexels:
     ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
     ways_ws, solid_angle = ways @ camera.world_from_view[:3, :3].T, texel_solid_angle(camera)
     surfaces = seen_by_rays(origin_ws, ways_ws, frame, bvh, surroundings_of(frame, frame.geometry),
-                            (0.0, reach_out_m(frame, bvh)))
+                            (frame.ray_offset_m, reach_out_m(frame, bvh)))      # it may lie in a ceiling's plane
     _take_colours(surfaces, view)
     lit = np.zeros(surfaces.shape, np.float32)
     irradiance_at(lit.size, pack_lamp(light, 1.0), surfaces.position_ws.reshape(-1, 3), surfaces.normal_ws.reshape(-1, 3),

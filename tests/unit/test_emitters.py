@@ -119,7 +119,7 @@ def test_disk_has_the_area_of_its_polygon(n, half, has_middle):
 
 @pytest.mark.parametrize(("rings", "parts"), [(8, 16), (16, 32), (32, 64)])
 def test_ball_becomes_a_sphere_of_the_flux_of_its_triangles(rings, parts):
-    geometry = shining(placed(ball(rings, parts, 0.2), place=(1, 2, 3)))
+    geometry = shining(placed(ball(rings, parts, 0.2), place=(1, 2, 3)), dark=(quad((0, 0, 0), 3, 3),))
     rest, (lamp,) = part_emitters(geometry, MATERIALS, build_bvh(geometry.corners_ws))
     assert lamp.kind is LightKind.POINT and lamp.is_sphere and lamp.is_surface and lamp.name.startswith("Tube")
     # outside of every corner, so that shadow rays end before the triangles, by a ten-thousandth of its size
@@ -158,6 +158,17 @@ def test_faces_of_a_box_shine_outwards_only():
     assert len(lamps) == 6
     for lamp in lamps:
         assert lamp.direction_ws @ lamp.position_ws > 0.29
+
+
+def test_a_dome_around_a_scene_is_no_lamp():
+    assert find_shapes(shining(ball(16, 32, 10.0), dark=(quad((0, 0, 0), 3, 3),))) == []
+
+
+def test_walls_that_shine_light_what_stands_between_them():
+    geometry = shining(box((4.0, 4.0, 3.0)), dark=(quad((0, 0, 0), 0.7, 0.7),))
+    _, lamps = part_emitters(geometry, MATERIALS, build_bvh(geometry.corners_ws))
+    inwards = [lamp for lamp in lamps if lamp.direction_ws @ lamp.position_ws < 0]
+    assert len(inwards) == 6
 
 
 def without_a_corner():
