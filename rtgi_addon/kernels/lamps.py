@@ -38,6 +38,7 @@ SHARP_RAYS = 16
 MIRROR_ALPHA = f32(1e-3)    # one ray tells
 MINOR_LOBE = f32(0.02)      # of the light of a white matt surface: less of it need not be known to a tenth
 METALS = f32(0.3)           # reflectance from which a surface may have nothing but its lobe
+RIM = f32(0.96)             # of the half size: where rays to the rim go
 TAIL = f32(24)              # alphas from its mirror direction beyond which a lobe holds less than a fiftieth of a percent
 
 
@@ -166,13 +167,12 @@ def lamp_place(lamp, p, u, v):
 
 
 @device_jit
-def pilot_point(lamp, i, turn):
-    """(x, y) of pilot i for `lamp_at`: four around the rim (the corners of a rectangle), then four half-way in."""
-    radius = f32(0.96) if i < 4 else f32(0.5)
+def rim_point(lamp, i, turn):
+    """(x, y) of place i of four around the rim for `lamp_at`: the corners of a rectangle."""
     if lamp.kind == RECTANGLE_LAMP:
-        return radius * (ONE if i & 1 else -ONE), radius * (ONE if i & 2 else -ONE)
-    x, y = on_circle(f32(0.25) * (f32(i) + turn + (ZERO if i < 4 else HALF)))
-    return radius * x, radius * y
+        return RIM * (ONE if i & 1 else -ONE), RIM * (ONE if i & 2 else -ONE)
+    x, y = on_circle(f32(0.25) * (f32(i) + turn))
+    return RIM * x, RIM * y
 
 
 @device_jit

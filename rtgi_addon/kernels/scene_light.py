@@ -47,6 +47,7 @@ SHARP = f32(0.03)           # alpha of a lobe below which each pixel is traced b
 SHARP_LOOKUPS = 4           # this many shadow rays then
 DIM = f32(0.25)             # Glossy Color below which a hit's lobe asks for what shines by a share of the rays
 UP_TO = f32(0.9999)         # of the way to an emissive triangle: a ray must not meet it
+CANDIDATES = 4              # places of which one is aimed at, drawn by what they would give
 RARE = f32(0.05)            # lobe over density below which an aimed ray is cast by chance
 BLURRED = f32(0.3)          # roughness from which the world's blurred map, 2.8 degrees a texel, serves a ray
 
@@ -155,7 +156,7 @@ def _from_above(bvh, around, stack, p, n, plane, albedo, offset_m, reach_m, u, v
     given, aimed = _shines(bvh, around, stack, p, plane, d, around.blurred_sky, offset_m, reach_m)
     if aims:
         cosine = dot(n, d) * INV_PI
-        albedo = scaled(albedo, cosine / (HALF * (aimed + cosine)))
+        albedo = scaled(albedo, cosine / max(HALF * (aimed + cosine), f32(1e-20)))
     return Vec3(given.x * albedo.x, given.y * albedo.y, given.z * albedo.z)
 
 
@@ -261,7 +262,11 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
 
 @pixel_jit
 def aim_lobes(begin, end, index, samples, screen, planes, gloss, bvh, around, rules, seed, rays):
-    """Aim one ray for each of `samples` of the pixels of `index` (M,) at what shines; into `rays.aimed`."""
+    """Aim one ray for each of `samples` of the pixels of `index` (M,) at what shines; into `rays.aimed`.
+
+    Of CANDIDATES places one is drawn in proportion to what they would give (Talbot, Cline and Egbert 2005, "Importance
+    Resampling for Global Illumination"): most of what shines lies beside the lobe.
+    """
     screen, gloss, bvh, around, rules, rays = borrowed((screen, gloss, bvh, around, rules, rays))
     width, stack = screen.depth.shape[1], scratch(STACK, np.int32)
     for m in range(begin, end):
@@ -273,17 +278,21 @@ def aim_lobes(begin, end, index, samples, screen, planes, gloss, bvh, around, ru
         p = load_pixel(screen.position_ws, i, j)
         origin = lifted(p, lobe.plane, rules.offset_m)
         for k in range(samples):
-            q = index[m] * samples + k
-            way, d, aimed, given = aim_at(around.shines, p, sky, rules.reach_m, uniform(q, 18, seed), uniform(q, 19, seed),
-                                          uniform(q, 20, seed))
-            if not aimed > ZERO or not min(dot(d, lobe.plane), dot(d, lobe.normal)) > ZERO:
+            q, chosen, total, likely, start, way = index[m] * samples + k, Vec3(ZERO, ZERO, ZERO), ZERO, ZERO, origin, origin
+            for c in range(CANDIDATES):
+                to, d, aimed, given = aim_at(around.shines, p, sky, rules.reach_m, uniform(q, 18 + 4 * c, seed),
+                                             uniform(q, 19 + 4 * c, seed), uniform(q, 20 + 4 * c, seed))
+                if not aimed > ZERO or not min(dot(d, lobe.plane), dot(d, lobe.normal)) > ZERO:
+                    continue
+                gives = lobe.gain * ggx_lobe(lobe.normal, lobe.viewer, d, lobe.alpha * lobe.alpha, lobe.f0)
+                gives /= aimed + lobe_density(lobe.normal, lobe.viewer, d, lobe.alpha)
+                bright = gives * (given.x + given.y + given.z)
+                total += bright
+                if bright > ZERO and uniform(q, 21 + 4 * c, seed) * total < bright:
+                    chosen, likely, start, way = scaled(given, gives / bright), gives, begun(origin, d, rules.offset_m), to
+            chance = min(likely / RARE, ONE)
+            if not uniform(q, 17, seed) < chance:
                 continue
-            gives = lobe.gain * ggx_lobe(lobe.normal, lobe.viewer, d, lobe.alpha * lobe.alpha, lobe.f0)
-            gives /= aimed + lobe_density(lobe.normal, lobe.viewer, d, lobe.alpha)
-            chance = min(gives / RARE, ONE)
-            if not uniform(q, 21, seed) < chance:
-                continue
-            start = begun(origin, d, rules.offset_m)
-            gives *= visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO)) / chance
+            shown = visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO))
             r = m * samples + k
-            rays.aimed[r, 0], rays.aimed[r, 1], rays.aimed[r, 2] = scaled(given, gives)
+            rays.aimed[r, 0], rays.aimed[r, 1], rays.aimed[r, 2] = scaled(chosen, shown * total / (f32(CANDIDATES) * chance))

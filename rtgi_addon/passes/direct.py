@@ -3,10 +3,10 @@
 For each lamp two kernels run. The first computes at every pixel what would arrive with nothing in between, and asks the
 lamp's own view whether anything is (`kernels.shadow`): lit and dark pixels are done. Those left over, along the edges of
 shadows, are put into a list. For them the second kernel finds the pixel's triangle, looks at the map once more with its
-plane, and where that does not settle it traces rays through the scene's triangles: one ray to a lamp without size, else
-eight spread over it and, where those disagree, a stratified set over its shape. The share of the light that arrives, in
-proportion to what each ray would carry, multiplies the closed form, so noise is left in half shadows only. Pixels in even
-rows and columns go first; the others ask them, and trace less where these agree.
+plane, and where that does not settle it traces rays through the scene's triangles: one ray to a lamp without size, else a
+stratified set over its shape. The share of the light that arrives, in proportion to what each ray would carry, multiplies
+the closed form, so noise is left in half shadows only. Pixels in even rows and columns go first; the others ask them, and
+where these agree two rays to the lamp's rim are enough.
 
 Deviations from Cycles: materials with transparency cast full shadows; Cycles' push of shadow rays off smooth-shaded,
 coarse meshes ("shadow terminator") is not modelled.
@@ -33,10 +33,6 @@ from .base import Context, PassResult, Technique, Transport
 from .screen import PROJECTION_CODES
 
 NONE, MAP, RAYS = 0, 1, 2   # how a light's shadows are found
-PILOTS = 8                  # rays that decide whether a pixel lies in half shadow; four, to the rim, miss thin things
-BIG_PILOTS = 8              # more of them, inside the shape, for lamps that look large
-BIG = f32(0.1)              # half size over distance from which a lamp looks large
-WIDE = f32(0.4)             # from which half shadows are everywhere, and samples cost no more than pilots
 TILE_PIXELS = 1 << 17       # pixels between two looks at Esc
 TILE_RAYS = 1 << 21         # and rays at most: some half a second's
 POSITION_ERROR = f32(2e-6)  # of the distance to the viewer and of the coordinates
@@ -91,7 +87,6 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
                 np.zeros(count, np.float32))
     has_rays = frame.geometry is not None
     bvh = context.bvh(frame.geometry) if has_rays else None
-    pilots = 0 if params.exact_shadows else PILOTS
     far_m = _length_out_of(bvh)
     views = {view.light_index: view for view in frame.views}
     starts = _Starts(np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.zeros(count, np.uint8))
@@ -131,7 +126,7 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
                     context.checkpoint("Direct Light", share)
                     few = some[first:first + step]
                     _trace_pixels(len(few), part, few, source.lamp, source.colours, pixels, source.salt, source.shadow_map,
-                                  bare, starts, bvh, pilots, params.soft_shadow_rays, shares, out)
+                                  bare, starts, bvh, params.soft_shadow_rays, params.exact_shadows, shares, out)
         shares.diffuse[part] = UNKNOWN
     with np.errstate(divide="ignore", invalid="ignore"):
         visibility = np.where(out.could > 0, np.clip(out.does / out.could, 0, 1), 1).astype(np.float32)
@@ -431,7 +426,7 @@ def _still_holds(lamp, bvh, stack, p, start, side, share, first, turn):
     """Do two rays to opposite points of the lamp's rim get as much light through as `share`? `first`, 0 or 1, says which."""
     across = 3 if lamp.kind == lamps.RECTANGLE_LAMP else 2
     for i in range(2 if lamps.apparent_size(lamp, p) > ZERO else 1):
-        x, y = lamps.pilot_point(lamp, first ^ (across * i), turn)
+        x, y = lamps.rim_point(lamp, first ^ (across * i), turn)
         d, _ = lamps.lamp_at(lamp, p, x, y)
         if _seen(bvh, stack, start, side, p, d) != share:
             return False
@@ -439,49 +434,32 @@ def _still_holds(lamp, bvh, stack, p, start, side, share, first, turn):
 
 
 @inline_jit
-def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, pilots, rays, shift_u, shift_v):
-    """(share of the irradiance, share of the glossy light) that arrives at p.
-
-    Pilots to the rim and half-way in come first, for lamps that look large more of them; where they agree (behind a pane
-    too) they decide, otherwise `rays` samples do, in proportion to what each would carry. Without pilots, and of lamps
-    that look larger still, the samples always do.
-    """
+def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, shift_u, shift_v):
+    """(share of the irradiance, share of the glossy light) that arrives at p: of each ray in proportion to what it carries."""
     size = lamps.apparent_size(lamp, p)
     if size == ZERO:
-        pilots = 1
-    elif pilots > 0 and size > BIG:
-        pilots = pilots + BIG_PILOTS if size < WIDE else 0
+        d, _ = lamps.lamp_at(lamp, p, ZERO, ZERO)
+        share = _seen(bvh, stack, start, side, p, d)
+        return share, share
     alpha = max(max(alpha, f32(0.3) * min(size, ONE)), lamps.LEAST_ALPHA)
-    first, diffuse_all, diffuse_seen, glossy_all, glossy_seen = ONE, ZERO, ZERO, ZERO, ZERO
-    i, last = 0, pilots if pilots > 0 else rays
-    while i < last:
-        x, y, share = ZERO, ZERO, ONE
-        if i >= PILOTS or pilots == 0:
-            u, v = r2_sequence(i - pilots if i >= pilots else i - PILOTS, shift_u, shift_v)
-            x, y, share = lamps.lamp_place(lamp, p, u, v)
-        elif pilots > 1:
-            x, y = lamps.pilot_point(lamp, i, shift_u)
+    diffuse_all, diffuse_seen, glossy_all, glossy_seen = ZERO, ZERO, ZERO, ZERO
+    for i in range(rays):
+        u, v = r2_sequence(i, shift_u, shift_v)
+        x, y, share = lamps.lamp_place(lamp, p, u, v)
         d, weight = lamps.lamp_at(lamp, p, x, y)
         unit = normalized_or(d, n)
         diffuse = weight * share * max(dot(n, unit), ZERO)
-        seen = _seen(bvh, stack, start, side, p, d) if i < pilots or diffuse > ZERO else ZERO
-        if i < pilots:
-            first = seen if i == 0 else first
-            if seen != first:                    # they disagree: the samples decide
-                i, last = pilots - 1, pilots + rays
-        elif diffuse > ZERO:
+        if diffuse > ZERO:
+            seen = _seen(bvh, stack, start, side, p, d)
             glossy = weight * share * lamps.ggx_lobe(n, viewer, unit, alpha * alpha, f0)
             diffuse_all, glossy_all = diffuse_all + diffuse, glossy_all + glossy
             diffuse_seen, glossy_seen = diffuse_seen + seen * diffuse, glossy_seen + seen * glossy
-        i += 1
-    if last == pilots and pilots > 0:
-        return first, first
     share = diffuse_seen / diffuse_all if diffuse_all > ZERO else ZERO
     return share, (glossy_seen / glossy_all if glossy_all > ZERO else share)
 
 
 @inline_jit
-def _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, is_minor, expected):
+def _own_shares(q, lamp, pixels, salt, shadow_map, starts, bvh, stack, rays, is_minor, expected):
     """(share of the irradiance, share of the glossy light) that a second look at the map, or rays, find at pixel q."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
     viewer, distance = _viewer(pixels, p)
@@ -505,29 +483,27 @@ def _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, 
     if expected >= ZERO and _still_holds(lamp, bvh, stack, p, start, side, expected, q + q // pixels.width & 1, shift_u):
         return expected, expected
     alpha = pixels.roughness[q] * pixels.roughness[q]
-    return _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, pixels.f0[q], pilots, rays, shift_u, shift_v)
+    return _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, pixels.f0[q], rays, shift_u, shift_v)
 
 
 @inline_jit
-def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays, shares, out):
-    is_highlight = bare.glossy[k] * pixels.reflectance[q] > bare.diffuse[k] * INV_PI
+def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, rays, is_exact, shares, out):
     is_minor, low, high, share, glossy_share = False, -ONE, ONE, ZERO, ZERO
-    if pilots > 0 and not is_highlight:
+    if not is_exact and bare.glossy[k] * pixels.reflectance[q] <= bare.diffuse[k] * INV_PI:     # no highlight
         is_minor = colours[6] * bare.diffuse[k] < MINOR_SHARE * out.could[q]
         if not is_minor and colours[6] * bare.diffuse[k] < MIDDLE_SHARE * out.could[q]:
-            pilots, rays = pilots // 2, max(rays // 2, 1)
+            rays = max(rays // 2, 1)
         low, high, share, glossy_share = _shares_beside(q, pixels, shares)
     # four of one kind may hide a thin shadow between them; a lamp that gives little is not worth the look
     if not (low > ZERO and high < ONE and high - low <= EVEN_SPREAD or is_minor and low == high):
         expected = share if low == high else -ONE
-        share, glossy_share = _own_shares(k, q, lamp, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays,
-                                          is_minor, expected)
+        share, glossy_share = _own_shares(q, lamp, pixels, salt, shadow_map, starts, bvh, stack, rays, is_minor, expected)
     shares.diffuse[q], shares.glossy[q] = share, glossy_share
     _add(q, bare.diffuse[k] * share, bare.glossy[k] * glossy_share, colours, pixels, out)
 
 
 @pixel_jit
-def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, pilots, rays, shares,
+def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, rays, is_exact, shares,
                   out):
     """Add the light that a second look at the map, rays, or pixels beside find at the pixels `left` (M,) of `index` (K,)."""
     lamp, colours, pixels, shadow_map, bare, starts, bvh, shares, out = borrowed(
@@ -535,7 +511,7 @@ def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_m
     stack = scratch(STACK, np.int32)
     for m in range(begin, end):
         k = left[m]
-        _trace_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, pilots, rays,
+        _trace_at_pixel(k, index[k], lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, stack, rays, is_exact,
                         shares, out)
 
 

@@ -156,8 +156,8 @@ def test_half_shadow_of_a_square_grows_linearly_with_the_sun_disk_uncovered(map_
     share = 0.5 + (a * np.sqrt(1 - a * a) + np.arcsin(a)) / np.pi
     bare = diffuse(dataclasses.replace(frame, geometry=None, views=()))
     got = diffuse(frame, soft_shadow_rays=1024)[..., 0] / bare[..., 0]
-    # 1024 stratified rays: 1/2 % of noise; six pilots miss up to 3 % at the edges of the half shadow
-    np.testing.assert_allclose(got[row], share[row], atol=0.035)
+    # 1024 stratified rays: 1/2 % of noise; two rays beside agreeing neighbours miss up to 2 % at the edges of the half shadow
+    np.testing.assert_allclose(got[row], share[row], atol=0.025)
 
 
 def test_half_shadow_of_a_long_lamp_passes_under_what_its_centre_sees():
@@ -170,9 +170,22 @@ def test_half_shadow_of_a_long_lamp_passes_under_what_its_centre_sees():
     frame = Frame(camera, cast_view(camera, geometry_of(floor)), (light,), (view,), both)
     wanted, got = (diffuse(frame, soft_shadow_rays=256, exact_shadows=exact)[..., 0] for exact in (True, False))
     assert wanted.min() < 0.3 * wanted.max()
-    # 256 stratified rays both times, and what pilots settle; the map's word for it was off by a twelfth
+    # 256 stratified rays both times, and what neighbours settle; the map's word for it was off by a twelfth
     assert np.abs(got - wanted).sum() < 0.02 * wanted.sum()
     assert got.sum() == pytest.approx(wanted.sum(), rel=0.005)
+
+
+def test_light_through_a_gap_that_shows_a_sliver_of_the_lamp_arrives():
+    """A screen with a gap that lets a twentieth of the lamp through: no few rays to chosen places find it."""
+    floor = quad((0, 0, 0), 2, 2)
+    left, right = (quad((sign * 2.0125, 0, 1), 2, 3) for sign in (-1, 1))
+    light = Light("Lamp", LightKind.RECTANGLE, DOWN, WHITE, size_x_m=1.0, size_y_m=1.0)
+    both, camera = geometry_of(floor, left, right), view_from((0, 0, 0.9), (0, 0, 0), 0.5, 48, 48)
+    frame = Frame(camera, cast_view(camera, geometry_of(floor)), (light,), (), both)
+    wanted, got = (diffuse(frame, soft_shadow_rays=256, exact_shadows=exact)[..., 0] for exact in (True, False))
+    assert 0 < wanted.max() < 0.1 * diffuse(dataclasses.replace(frame, geometry=None)).max()
+    # where each of four neighbours has the same share by 256 rays, that share is 0 or 1, and two rays hold it
+    assert got.sum() == pytest.approx(wanted.sum(), rel=0.01)
 
 
 def test_tail_of_a_narrow_lobe_shows_a_thin_lamp_without_grain():

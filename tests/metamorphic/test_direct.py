@@ -110,7 +110,7 @@ def test_seed_moves_only_half_shadows():
     frame = make_room_frame(48, 32, (LightKind.SPOT,), 0.1)
     a, b = (compute_direct(frame, DirectParams(), Context(), seed) for seed in (0, 1))
     changed = (a.light[Transport.DIRECT_DIFFUSE] != b.light[Transport.DIRECT_DIFFUSE]).any(-1)
-    # six turned pilots may also call the rim of a half shadow lit or dark
+    # the rim of a half shadow may also come out lit or dark
     either = np.minimum(a.visibility, b.visibility)[changed]
     assert changed.any() and (either < 1).all() and (np.maximum(a.visibility, b.visibility)[changed] > 0).all()
 
