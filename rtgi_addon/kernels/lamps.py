@@ -33,7 +33,8 @@ POLYGON = 16                # sides of the polygon that stands for an ellipse; o
 AREA_SAMPLES = 64           # of the sums that have no closed form
 FEW_AREA_SAMPLES = 16
 LEAST_ALPHA = f32(0.006)    # sharper lobes are below float32's resolution of the half vector
-SHARP = f32(0.25)           # alpha over apparent half size below which rays of the lobe tell what it reflects of a lamp
+SHARP = f32(0.5)            # alpha over apparent half size below which rays of the lobe tell what it reflects of a lamp:
+                            # four places of the lamp would show as four lamps
 SHARP_RAYS = 16
 MIRROR_ALPHA = f32(1e-3)    # one ray tells
 MINOR_LOBE = f32(0.02)      # of the light of a white matt surface: less of it need not be known to a tenth
@@ -287,16 +288,30 @@ def _weight_along(lamp, p, d):
 
 
 @device_jit
+def _from_centre(lamp, p, n, viewer, alpha, f0, is_glossy):
+    """(irradiance, integral of radiance x glossy lobe) as if the lamp's centre sent all of its light."""
+    d, weight = lamp_at(lamp, p, ZERO, ZERO)
+    unit = normalized_or(d, n)
+    cosine = dot(n, unit)
+    if not weight > ZERO or not cosine > ZERO:
+        return ZERO, ZERO
+    return weight * cosine, weight * ggx_lobe(n, viewer, unit, alpha * alpha, f0) if is_glossy else ZERO
+
+
+@device_jit
 def _reflected(lamp, p, n, viewer, axis, size, alpha, f0, shift_u, shift_v):
     """Integral of radiance x glossy lobe of a lobe that is narrow beside the lamp.
 
     By rays of the lobe, which tell what of the lamp lies in its middle, and places on the lamp, which tell what its tail
-    takes, weighted by the balance heuristic (Veach and Guibas 1995).
+    takes, weighted by the balance heuristic (Veach and Guibas 1995). Far out in the tail, where a bright lamp glows too, the
+    lamp's centre tells it.
     """
     mirror = sub(scaled(n, f32(2) * dot(n, viewer)), viewer)
     beyond = length(sub(mirror, axis)) - TAIL * alpha
-    if beyond > f32(1.5) * size or dot(n, viewer) <= ZERO:
+    if dot(n, viewer) <= ZERO:
         return ZERO
+    if beyond > f32(1.5) * size:
+        return _from_centre(lamp, p, n, viewer, alpha, f0, True)[1]
     total, rays = ZERO, SHARP_RAYS if alpha > MIRROR_ALPHA else 1
     has_places = alpha > MIRROR_ALPHA and lamp.spread_gain == ZERO
     u = v = ZERO
@@ -339,17 +354,6 @@ def may_reach(lamp, p, n):
     if lamp.kind >= RECTANGLE_LAMP:
         return along_axis > ZERO
     return lamp.spot_scale == ZERO or along_axis > lamp.spot_edge * length(to) - f32(1.5) * reach
-
-
-@device_jit
-def _from_centre(lamp, p, n, viewer, alpha, f0, is_glossy):
-    """(irradiance, integral of radiance x glossy lobe) as if the lamp's centre sent all of its light."""
-    d, weight = lamp_at(lamp, p, ZERO, ZERO)
-    unit = normalized_or(d, n)
-    cosine = dot(n, unit)
-    if not weight > ZERO or not cosine > ZERO:
-        return ZERO, ZERO
-    return weight * cosine, weight * ggx_lobe(n, viewer, unit, alpha * alpha, f0) if is_glossy else ZERO
 
 
 @pixel_jit
@@ -407,7 +411,8 @@ def unshadowed(lamp, p, n, viewer, alpha, f0, reflectance, is_faint, shift_u, sh
     if is_faint:
         return _from_centre(lamp, p, n, viewer, wide_alpha, f0, is_glossy)
     glossy = ZERO
-    if is_glossy and alpha < SHARP * min(size, f32(0.2)):
+    narrow = SHARP * min(size, f32(0.2) if is_area else WIDE)
+    if is_glossy and (alpha < narrow or alpha < LEAST_ALPHA and alpha < f32(2) * size):
         glossy = _reflected(lamp, p, n, viewer, axis, size, alpha, f0, shift_u, shift_v)
         is_glossy = False
     elif is_glossy and height > size and size < HALF and reflectance < METALS:

@@ -435,7 +435,7 @@ def _still_holds(lamp, bvh, stack, p, start, side, share, first, turn):
 
 @inline_jit
 def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, shift_u, shift_v):
-    """(share of the irradiance, share of the glossy light) that arrives at p: of each ray in proportion to what it carries."""
+    """(share of the irradiance, share of the glossy light) that arrives at p, each ray in proportion to what it carries."""
     size = lamps.apparent_size(lamp, p)
     if size == ZERO:
         d, _ = lamps.lamp_at(lamp, p, ZERO, ZERO)
@@ -503,8 +503,8 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
 
 
 @pixel_jit
-def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, rays, is_exact, shares,
-                  out):
+def _trace_pixels(begin, end, index, left, lamp, colours, pixels, salt, shadow_map, bare, starts, bvh, rays, is_exact,
+                  shares, out):
     """Add the light that a second look at the map, rays, or pixels beside find at the pixels `left` (M,) of `index` (K,)."""
     lamp, colours, pixels, shadow_map, bare, starts, bvh, shares, out = borrowed(
         (lamp, colours, pixels, shadow_map, bare, starts, bvh, shares, out))

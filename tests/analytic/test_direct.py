@@ -156,7 +156,7 @@ def test_half_shadow_of_a_square_grows_linearly_with_the_sun_disk_uncovered(map_
     share = 0.5 + (a * np.sqrt(1 - a * a) + np.arcsin(a)) / np.pi
     bare = diffuse(dataclasses.replace(frame, geometry=None, views=()))
     got = diffuse(frame, soft_shadow_rays=1024)[..., 0] / bare[..., 0]
-    # 1024 stratified rays: 1/2 % of noise; two rays beside agreeing neighbours miss up to 2 % at the edges of the half shadow
+    # 1024 stratified rays: 1/2 % of noise; two rays beside agreeing neighbours miss up to 2 % at the half shadow's edges
     np.testing.assert_allclose(got[row], share[row], atol=0.025)
 
 
