@@ -451,7 +451,7 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, s
         diffuse = weight * share * max(dot(n, unit), ZERO)
         if diffuse > ZERO:
             seen = _seen(bvh, stack, start, side, p, d)
-            glossy = weight * share * lamps.ggx_lobe(n, viewer, unit, alpha * alpha, f0)
+            glossy = weight * share * lamps.ggx_lobe(n, viewer, unit, alpha * alpha, f0) if f0 > ZERO else ZERO   # no lobe
             diffuse_all, glossy_all = diffuse_all + diffuse, glossy_all + glossy
             diffuse_seen, glossy_seen = diffuse_seen + seen * diffuse, glossy_seen + seen * glossy
     share = diffuse_seen / diffuse_all if diffuse_all > ZERO else ZERO

@@ -175,6 +175,17 @@ def test_half_shadow_of_a_long_lamp_passes_under_what_its_centre_sees():
     assert got.sum() == pytest.approx(wanted.sum(), rel=0.005)
 
 
+def test_half_shadow_on_a_matt_surface_seen_straight_on_is_finite():
+    """Without a lobe there is no reflectance at normal incidence to divide by."""
+    floor, table = quad((0, 0, 0), 2, 2), quad((0.5, 0, 1), 0.5, 2)
+    light = Light("Lamp", LightKind.RECTANGLE, DOWN, WHITE, size_x_m=1.0, size_y_m=1.0)
+    camera = view_from((0, 0, 0.9), (0, 0, 0), 0.02, 9, 9)
+    frame = Frame(camera, cast_view(camera, geometry_of(floor)), (light,), (), geometry_of(floor, table))
+    result = compute_direct(frame, DirectParams(), Context())
+    assert 0 < result.visibility.min() and result.visibility.max() < 1
+    assert all(np.isfinite(light).all() for light in result.light.values())
+
+
 def test_light_through_a_gap_that_shows_a_sliver_of_the_lamp_arrives():
     """A screen with a gap that lets a twentieth of the lamp through: no few rays to chosen places find it."""
     floor = quad((0, 0, 0), 2, 2)
