@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .brdf import fit_lobe, lobe_albedos, mean_of_lobe
+from .brdf import lobe_albedos
 from .jit import borrowed, pixel_jit
 from .reflect import WEIGHT
 from .screen import view_vector
@@ -55,26 +55,6 @@ def on_lattice(step):
     out = np.empty(step.shape, np.bool_)
     _on_lattice(step.shape[0], step, out)
     return out
-
-
-@pixel_jit
-def mean_colours(begin, end, s, mask, roughness, known_f0, specular, albedos, means, out):
-    """Write into `out` (H, W, 3) what the lobes of pixels reflect in the mean over all directions.
-
-    `specular` (H, W, 3) is what they reflect towards the camera, at grazing view a multiple of that.
-    """
-    s, albedos, means = borrowed((s, albedos, means))
-    for i in range(begin, end):
-        for j in range(mask.shape[1]):
-            reflectance = max(specular[i, j, 0], max(specular[i, j, 1], specular[i, j, 2]))
-            if not mask[i, j] or not reflectance > ZERO:
-                continue
-            cosine = max(dot(load_pixel(s.normal_ws, i, j), view_vector(s, load_pixel(s.position_ws, i, j))), ZERO)
-            alpha = roughness[i, j] * roughness[i, j]
-            f0, _ = fit_lobe(reflectance, cosine, alpha, albedos, known_f0[i, j])
-            mean = mean_of_lobe(cosine, alpha, f0, albedos, means)
-            for c in range(3):
-                out[i, j, c] = specular[i, j, c] * mean
 
 
 @pixel_jit

@@ -18,7 +18,7 @@ from .depth_pyramid import height_at, plane_slopes
 from .jit import borrowed, inline_jit, pixel_jit, scratch
 from .lamps import LEAST_ALPHA
 from .lit_hits import LEAST_REFLECTANCE, edge_fade, gloss_of_lamps, light_of_lamps, lit_there, softened
-from .reflect import AIMED_ALPHA, ASK, LEAST_COSINE, lobe_at
+from .reflect import AIMED_ALPHA, ASK, LEAST_COSINE, Lobe, lobe_at
 from .sampling import cosine_hemisphere, r2_sequence, uniform
 from .screen import is_inside, to_screen, turn_to_view, view_vector
 from .shadow import ORTHOGRAPHIC
@@ -161,21 +161,62 @@ def _from_above(bvh, around, stack, p, n, plane, albedo, offset_m, reach_m, u, v
 
 
 @inline_jit
-def _from_lobe(bvh, around, stack, p, n, plane, towards, specular, roughness, f0, albedos, offset_m, reach_m, u, v, pick):
-    """Radiance that a glossy lobe sends `towards` of what shines, by one ray; of dim lobes by fewer: `pick` decides."""
+def _aim_lobe(around, p, lobe, sky, reach_m, q, first, seed):
+    """(vector to a place of what shines, its colour over its light, light, lobe over density) as a lobe at p sees it.
+
+    Of CANDIDATES places one is drawn in proportion to what they would give (Talbot, Cline and Egbert 2005, "Importance
+    Resampling for Global Illumination"): most of what shines lies beside the lobe. Colour times light counts beside that of
+    the lobe's own rays; both are 0 where no candidate can be seen. Random numbers `first` and on of q are used.
+    """
+    chosen, total, likely, way = Vec3(ZERO, ZERO, ZERO), ZERO, ZERO, p
+    for c in range(CANDIDATES):
+        at = first + 4 * c
+        to, d, aimed, given = aim_at(around.shines, p, sky, reach_m, uniform(q, at, seed), uniform(q, at + 1, seed),
+                                     uniform(q, at + 2, seed))
+        if not aimed > ZERO or not min(dot(d, lobe.plane), dot(d, lobe.normal)) > ZERO:
+            continue
+        gives = lobe.gain * ggx_lobe(lobe.normal, lobe.viewer, d, lobe.alpha * lobe.alpha, lobe.f0)
+        gives /= aimed + lobe_density(lobe.normal, lobe.viewer, d, lobe.alpha)
+        bright = gives * (given.x + given.y + given.z)
+        total += bright
+        if bright > ZERO and uniform(q, at + 3, seed) * total < bright:
+            chosen, likely, way = scaled(given, gives / bright), gives, to
+    return way, chosen, total / f32(CANDIDATES), likely
+
+
+@inline_jit
+def _from_lobe(bvh, around, stack, p, n, plane, towards, specular, roughness, f0, albedos, offset_m, reach_m, u, v, pick, q,
+               seed):
+    """Radiance that a glossy lobe sends `towards` of what shines, by one ray, every second one aimed there; of dim lobes by
+    fewer: `pick` decides."""
     reflectance, cosine = max(specular.x, max(specular.y, specular.z)), dot(n, towards)
     chance = min(reflectance * f32(1 / DIM), ONE)
     if not reflectance > LEAST_REFLECTANCE or not cosine > ZERO or pick >= chance:
         return Vec3(ZERO, ZERO, ZERO)
-    alpha = roughness * roughness
-    d, weight = sample_lobe(n, towards, alpha, u, v)
-    if dot(plane, d) < ZERO:
-        return Vec3(ZERO, ZERO, ZERO)
+    alpha, gain = roughness * roughness, ONE
     if alpha >= LEAST_ALPHA:
         f0, gain = fit_lobe(reflectance, cosine, alpha, albedos, f0)
+    sky, weight = around.blurred_sky if roughness > BLURRED else around.sky, ONE / chance
+    aims = has_aim(around.shines) and alpha >= LEAST_ALPHA
+    if aims:
+        weight *= f32(2)
+        if pick < HALF * chance:
+            way, given, light, _ = _aim_lobe(around, p, Lobe(n, plane, towards, alpha, f0, gain), sky, reach_m, q, 40, seed)
+            if not light > ZERO:
+                return Vec3(ZERO, ZERO, ZERO)
+            start = begun(lifted(p, plane, offset_m), way, offset_m)
+            weight *= light * visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO))
+            return Vec3(weight * given.x * specular.x, weight * given.y * specular.y, weight * given.z * specular.z)
+    d, lobe_weight = sample_lobe(n, towards, alpha, u, v)
+    if dot(plane, d) < ZERO:
+        return Vec3(ZERO, ZERO, ZERO)
+    weight *= lobe_weight
+    if alpha >= LEAST_ALPHA:
         weight *= gain * fresnel(max(dot(normalized_or(add(towards, d), n), towards), ZERO), f0) / fresnel(cosine, f0)
-    sky, weight = around.blurred_sky if roughness > BLURRED else around.sky, weight / chance
-    given, _ = _shines(bvh, around, stack, p, plane, d, sky, offset_m, reach_m)
+    given, aimed = _shines(bvh, around, stack, p, plane, d, sky, offset_m, reach_m)
+    if aims:
+        density = lobe_density(n, towards, d, alpha)
+        weight *= density / max(density + aimed, f32(1e-20))
     return Vec3(weight * given.x * specular.x, weight * given.y * specular.y, weight * given.z * specular.z)
 
 
@@ -241,7 +282,8 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                                                      u, v, pick))
                     pick = (uniform(q, 16, seed) + f32(look)) / f32(lookups)
                     glossy = add(glossy, _from_lobe(bvh, around, stack, p, n, plane, to_ray, specular, roughness, f0,
-                                                    gloss.albedos, rules.offset_m, rules.reach_m, u, v, pick))
+                                                    gloss.albedos, rules.offset_m, rules.reach_m, u, v, pick,
+                                                    q, seed + look))
             matt, glossy = scaled(matt, (ONE - share) / f32(lookups)), scaled(glossy, ONE / f32(lookups))
             own = load(around.emission, source)
             shown = _shown_emission(own, Vec3(light[3], light[4], light[5]), share)
@@ -262,11 +304,7 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
 
 @pixel_jit
 def aim_lobes(begin, end, index, samples, screen, planes, gloss, bvh, around, rules, seed, rays):
-    """Aim one ray for each of `samples` of the pixels of `index` (M,) at what shines; into `rays.aimed`.
-
-    Of CANDIDATES places one is drawn in proportion to what they would give (Talbot, Cline and Egbert 2005, "Importance
-    Resampling for Global Illumination"): most of what shines lies beside the lobe.
-    """
+    """Aim one ray for each of `samples` of the pixels of `index` (M,) at what shines; into `rays.aimed`."""
     screen, gloss, bvh, around, rules, rays = borrowed((screen, gloss, bvh, around, rules, rays))
     width, stack = screen.depth.shape[1], scratch(STACK, np.int32)
     for m in range(begin, end):
@@ -278,21 +316,12 @@ def aim_lobes(begin, end, index, samples, screen, planes, gloss, bvh, around, ru
         p = load_pixel(screen.position_ws, i, j)
         origin = lifted(p, lobe.plane, rules.offset_m)
         for k in range(samples):
-            q, chosen, total, likely, start, way = index[m] * samples + k, Vec3(ZERO, ZERO, ZERO), ZERO, ZERO, origin, origin
-            for c in range(CANDIDATES):
-                to, d, aimed, given = aim_at(around.shines, p, sky, rules.reach_m, uniform(q, 18 + 4 * c, seed),
-                                             uniform(q, 19 + 4 * c, seed), uniform(q, 20 + 4 * c, seed))
-                if not aimed > ZERO or not min(dot(d, lobe.plane), dot(d, lobe.normal)) > ZERO:
-                    continue
-                gives = lobe.gain * ggx_lobe(lobe.normal, lobe.viewer, d, lobe.alpha * lobe.alpha, lobe.f0)
-                gives /= aimed + lobe_density(lobe.normal, lobe.viewer, d, lobe.alpha)
-                bright = gives * (given.x + given.y + given.z)
-                total += bright
-                if bright > ZERO and uniform(q, 21 + 4 * c, seed) * total < bright:
-                    chosen, likely, start, way = scaled(given, gives / bright), gives, begun(origin, d, rules.offset_m), to
+            q = index[m] * samples + k
+            way, colour, light, likely = _aim_lobe(around, p, lobe, sky, rules.reach_m, q, 18, seed)
             chance = min(likely / RARE, ONE)
             if not uniform(q, 17, seed) < chance:
                 continue
-            shown = visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO))
+            start = begun(origin, way, rules.offset_m)
+            light *= visibility(bvh, stack, start, scaled(sub(add(p, way), start), UP_TO)) / chance
             r = m * samples + k
-            rays.aimed[r, 0], rays.aimed[r, 1], rays.aimed[r, 2] = scaled(chosen, shown * total / (f32(CANDIDATES) * chance))
+            rays.aimed[r, 0], rays.aimed[r, 1], rays.aimed[r, 2] = scaled(colour, light)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Geometry, World
+from rtgi_addon.core.frame import Geometry, Material, World
 from rtgi_addon.core.synthetic import cast_view, make_room_frame
 from rtgi_addon.core.techniques import EmissionParams, FinalGatherParams
 from rtgi_addon.kernels.clusters import DIFFUSE, NORMAL, POSITION
@@ -144,6 +144,26 @@ def test_open_floor_gets_no_bounce_of_the_sky():
     frame = frame_of(geometry, cast_view(camera, geometry), camera)
     frame = dataclasses.replace(frame, world=World(np.ones((1, 1, 3), np.float32)))
     assert not bounced(frame, Context()).any()
+
+
+@pytest.mark.parametrize(("is_ahead", "share"), [(True, 1.0), (False, 0.0)])
+def test_polished_floor_sends_the_sky_to_a_wall_by_the_mirror_s_direction(is_ahead, share):
+    """A wall sees half a hemisphere of floor, and in it the sky that it faces; nothing of the sky behind it."""
+    floor = quad((1000, 0, 0), 1000, 1000)
+    wall = quad((0, 0, 0), 2, 2)[..., [2, 1, 0]] * [1, 1, -1] + [0, 0, 2]
+    corners = np.concatenate([floor, wall]).astype(np.float32)
+    black = np.zeros((4, 3, 3), np.float32)
+    geometry = Geometry(corners, black, black[:, 0], np.array([0, 0, 1, 1], np.int32))
+    camera = view_from((1, 0, 1), (0, 0, 1), 0.2, 9, 9, up=(0.0, 0.0, 1.0))
+    frame = frame_of(geometry, cast_view(camera, geometry), camera)
+    sky = np.zeros((64, 128, 3), np.float32)
+    sky[:, slice(64, None) if is_ahead else slice(0, 64)] = 1.0        # longitudes towards +X, or towards -X
+    polished, matt = (Material(name, (0.0,) * 3, (grey,) * 3, 0.1) for name, grey in (("polished", 1.0), ("matt", 0.0)))
+    frame = dataclasses.replace(frame, world=World(sky), materials=(polished, matt))
+    got = bounced(frame, Context(), rays=1024)[frame.gbuffer.mask]
+    # the lobe is softened to an alpha of 0.245 for the matt receiver, which sends a seventh over the edge; a matt floor
+    # would send a half
+    np.testing.assert_allclose(got, share * np.pi / 2, atol=0.2 * np.pi / 2)
 
 
 def test_without_light_nothing_bounces():
