@@ -364,16 +364,18 @@ def map_visibility(m, p, error):
 
 @inline_jit
 def find_surface(bvh, stack, p, towards_viewer, span):
-    """(found, point, normal on the viewer's side): the triangle at p, met along the viewer's ray within `span` m of p.
+    """(slot, point, normal on the viewer's side, a, b): the triangle at p, met along the viewer's ray within `span` m of p.
+
+    The slot is below 0 without one; (a, b) is the place in it, see `bvh.closest_hit`.
 
     Positions that come from a depth pass are off by some ulps of the viewer's distance, and shading normals need not be
     those of the triangle. Shadow rays that start from the triangle itself need only the offset of its own rounding. The
     pixel shows the triangle, so it is there.
     """
-    t, slot, _, _ = closest_triangle(bvh, stack, along(p, towards_viewer, span), scaled(towards_viewer, -span), f32(2))
+    t, slot, a, b = closest_triangle(bvh, stack, along(p, towards_viewer, span), scaled(towards_viewer, -span), f32(2))
     if slot < 0:
-        return False, p, towards_viewer
+        return slot, p, towards_viewer, ZERO, ZERO
     n = triangle_normal(bvh, slot)
     if dot(n, towards_viewer) < ZERO:
         n = Vec3(-n.x, -n.y, -n.z)
-    return True, along(p, towards_viewer, span * (ONE - t)), n
+    return slot, along(p, towards_viewer, span * (ONE - t)), n, a, b

@@ -8,8 +8,9 @@ stratified set over its shape. The share of the light that arrives, in proportio
 the closed form, so noise is left in half shadows only. Pixels in even rows and columns go first; the others ask them, and
 where these agree two rays to the lamp's rim are enough.
 
-Deviations from Cycles: materials with transparency cast full shadows; Cycles' push of shadow rays off smooth-shaded,
-coarse meshes ("shadow terminator") is not modelled.
+Where a lamp stands low over a triangle of a smooth-shaded, coarse mesh, rays begin on the surface that its normals tell.
+
+Deviations from Cycles: an object's own "Shadow Terminator" offsets are taken as the default.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.frame import Frame, Geometry, Light, LightKind, LightView
+from ..core.frame import NORMAL_STEPS, Frame, Geometry, Light, LightKind, LightView
 from ..core.techniques import DirectParams
 from ..core.transforms import Projection
 from ..kernels import lamps, shadow
-from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
-from ..kernels.bvh import STACK, Bvh, visibility
+from ..kernels.brdf import HALF, INV_PI, albedo_table, fit_lobe
+from ..kernels.bvh import STACK, Bvh, triangle_normal, visibility
 from ..kernels.jit import borrowed, inline_jit, pixel_jit, scratch
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
-from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
+from ..kernels.vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, length, load, normalized_or, scaled, sub
 from .base import Context, PassResult, Technique, Transport
 from .screen import PROJECTION_CODES
 
@@ -38,6 +39,7 @@ TILE_RAYS = 1 << 21         # and rays at most: some half a second's
 POSITION_ERROR = f32(2e-6)  # of the distance to the viewer and of the coordinates
 OFFSET = f32(1.5e-6)        # of the coordinates: rounding of a ray's start on its triangle
 SKIP = f32(1e-6)            # of the largest coordinate: what a shadow ray does not look at before its start
+LOW = f32(0.1)              # cosine of a lamp over a triangle from which its shadow rays are lifted: Cycles' default
 SPAN = f32(1e-4)            # of the viewer's distance: how far from its position a pixel's triangle is looked for
 NEGLIGIBLE_SHARE = f32(3e-4)    # of what other lamps could give: a lamp that cannot give more is left out, see `ROUGH`
 ROUGH = f32(0.35)           # roughness from which no highlight outshines what a lamp gives to the diffuse lobe
@@ -51,6 +53,7 @@ LIKE_NORMAL = f32(0.9)      # cosine between the normals, at least
 LIKE_PLANE = f32(0.1)       # distance from the tangent plane over distance, at most
 EVEN_SPREAD = f32(0.2)      # and their mean will do in half shadow where they lie no farther apart than this
 UNKNOWN = f32(-1)
+STEP_OF_NORMALS = f32(1 / NORMAL_STEPS)
 SHARE_OF = np.float32([UNKNOWN, 1, 0, UNKNOWN])     # by the map's answer: none, LIT, DARK, ASK
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -89,7 +92,9 @@ def compute_direct(frame: Frame, params: DirectParams, context: Context, seed: i
     bvh = context.bvh(frame.geometry) if has_rays else None
     far_m = _length_out_of(bvh)
     views = {view.light_index: view for view in frame.views}
-    starts = _Starts(np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.zeros(count, np.uint8))
+    is_smooth = has_rays and frame.geometry.normals_ws is not None
+    starts = _Starts(*np.zeros((3, count, 3), np.float32), np.zeros(count, np.uint8),
+                     frame.geometry.normals_ws if is_smooth else np.zeros((0, 3, 3), np.int16))
     shares = _Shares(*np.full((2, count), UNKNOWN))
     sources = [_source(index, light, views.get(index), frame, has_rays, params, far_m, seed)
                for index, light in enumerate(frame.lights)
@@ -200,11 +205,17 @@ class _Bare(NamedTuple):
 
 
 class _Starts(NamedTuple):
-    """Where shadow rays of a pixel start, (N, 3), and its triangle's normal on the viewer's side; `known` once found."""
+    """Where shadow rays of a pixel start, (N, 3), and its triangle's normal on the viewer's side; `known` once found.
+
+    lift (N, 3): from the triangle to the smooth surface that it stands for. normals: `core.frame.Geometry.normals_ws`,
+    without a length where all triangles are flat.
+    """
 
     place: np.ndarray
     side: np.ndarray
+    lift: np.ndarray
     known: np.ndarray
+    normals: np.ndarray
 
 
 class _Shares(NamedTuple):
@@ -370,20 +381,79 @@ def _light_pixels(begin, end, index, lamp, colours, pixels, salt, shadow_map, te
 
 
 @inline_jit
-def _ray_start(bvh, stack, p, n, viewer, distance, error):
-    """(start of shadow rays, geometric normal on the viewer's side)."""
-    span = max(SPAN * distance, f32(16) * error)
-    found, o, side = shadow.find_surface(bvh, stack, p, viewer, span)
-    if not found:
-        return along(p, n, f32(2) * error), n
-    size = max(abs(o.x), max(abs(o.y), abs(o.z)))
-    return along(o, side, OFFSET * size + f32(0.05) * error), side
+def _corner_normal(normals, t, corner, sign):
+    return scaled(Vec3(f32(normals[t, corner, 0]), f32(normals[t, corner, 1]), f32(normals[t, corner, 2])), sign)
 
 
 @inline_jit
-def _seen(bvh, stack, start, side, p, d):
-    """Share of light that gets along the vector d from a lamp to p; none from behind the triangle's own plane."""
-    if dot(side, d) <= ZERO:
+def _rise(first, second, to_corner, n):
+    """How far a corner's tangent plane, moved up to clear the triangle, lies above a point of it.
+
+    first, second: edges from the corner; to_corner: from the point; n: the corner's normal.
+    """
+    return max(dot(to_corner, n) + max(max(dot(first, n), dot(second, n)), ZERO), ZERO)
+
+
+@inline_jit
+def _lift(bvh, normals, slot, a, b, side):
+    """Vector from place (a, b) of a triangle to the smooth surface that its corners' normals tell, on the side of `side`.
+
+    A parabola through the corners, half of it, or what the tangent planes at the corners leave: rays that begin there clear
+    the neighbours of a coarse mesh's triangle, as in Cycles ("shadow terminator"; Hanika 2021, "Hacking the Shadow
+    Terminator"). 0 for a flat triangle.
+    """
+    t, c = bvh.source[slot], bvh.corners
+    sign = STEP_OF_NORMALS if dot(triangle_normal(bvh, slot), side) > ZERO else -STEP_OF_NORMALS
+    n0, n1 = _corner_normal(normals, t, 0, sign), _corner_normal(normals, t, 1, sign)
+    n2 = _corner_normal(normals, t, 2, sign)
+    edge_1, edge_2 = Vec3(c[slot, 3], c[slot, 4], c[slot, 5]), Vec3(c[slot, 6], c[slot, 7], c[slot, 8])
+    u = ONE - a - b
+    n = add(scaled(n0, u), add(scaled(n1, a), scaled(n2, b)))
+    if not dot(n, side) > ZERO:
+        return Vec3(ZERO, ZERO, ZERO)
+    across = sub(edge_2, edge_1)
+    by_0, by_1, by_2 = dot(sub(n1, n0), edge_1), dot(sub(n2, n1), across), dot(sub(n2, n0), edge_2)   # each edge's bend
+    bend = by_2 * u * (ONE - u) + (by_0 - by_1 - by_2) * u * a + by_1 * a * (ONE - a)
+    back = scaled(add(scaled(edge_1, a), scaled(edge_2, b)), -ONE)
+    planes = min(min(_rise(edge_1, edge_2, back, n0), _rise(scaled(edge_1, -ONE), across, add(back, edge_1), n1)),
+                 _rise(scaled(edge_2, -ONE), scaled(across, -ONE), add(back, edge_2), n2))
+    return scaled(n, max(planes, HALF * bend))
+
+
+@inline_jit
+def _find_start(q, p, n, viewer, distance, error, starts, bvh, stack):
+    """Enter pixel q into `starts`."""
+    span = max(SPAN * distance, f32(16) * error)
+    slot, o, side, a, b = shadow.find_surface(bvh, stack, p, viewer, span)
+    place = along(p, n, f32(2) * error)
+    if slot < 0:
+        side = n
+    else:
+        size = max(abs(o.x), max(abs(o.y), abs(o.z)))
+        place = along(o, side, OFFSET * size + f32(0.05) * error)
+        if starts.normals.shape[0] > 0:
+            starts.lift[q, 0], starts.lift[q, 1], starts.lift[q, 2] = _lift(bvh, starts.normals, slot, a, b, side)
+    starts.place[q, 0], starts.place[q, 1], starts.place[q, 2] = place
+    starts.side[q, 0], starts.side[q, 1], starts.side[q, 2] = side
+    starts.known[q] = 1
+
+
+@inline_jit
+def _seen(q, starts, bvh, stack, p, n, d):
+    """Share of light that gets along the vector d from a lamp to p; none from behind the triangle's own plane.
+
+    Where the lamp stands low over a smooth-shaded triangle, or below it and not below the shading normal n's plane, the ray
+    begins on the surface that the triangle stands for.
+    """
+    start, side, lift = load(starts.place, q), load(starts.side, q), load(starts.lift, q)
+    is_lifted = False
+    if dot(lift, lift) > ZERO:
+        rcp = ONE / max(length(d), f32(1e-30))
+        by_shading, by_plane = dot(n, d) * rcp, dot(side, d) * rcp
+        amount = ONE - by_plane / LOW if by_shading >= LOW else f32(2) - (by_plane + by_shading) / LOW
+        is_lifted = amount > ZERO
+        start = along(start, lift, min(max(amount, ZERO), ONE))
+    if not is_lifted and dot(side, d) <= ZERO:
         return ZERO
     # in a crease rounding may put the start behind the other surface: begin a few units in the last place along the ray
     size = max(abs(p.x), max(abs(p.y), abs(p.z)))
@@ -422,24 +492,24 @@ def _shares_beside(q, pixels, shares):
 
 
 @inline_jit
-def _still_holds(lamp, bvh, stack, p, start, side, share, first, turn):
+def _still_holds(q, lamp, starts, bvh, stack, p, n, share, first, turn):
     """Do two rays to opposite points of the lamp's rim get as much light through as `share`? `first`, 0 or 1, says which."""
     across = 3 if lamp.kind == lamps.RECTANGLE_LAMP else 2
     for i in range(2 if lamps.apparent_size(lamp, p) > ZERO else 1):
         x, y = lamps.rim_point(lamp, first ^ (across * i), turn)
         d, _ = lamps.lamp_at(lamp, p, x, y)
-        if _seen(bvh, stack, start, side, p, d) != share:
+        if _seen(q, starts, bvh, stack, p, n, d) != share:
             return False
     return True
 
 
 @inline_jit
-def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, shift_u, shift_v):
+def _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, f0, rays, shift_u, shift_v):
     """(share of the irradiance, share of the glossy light) that arrives at p, each ray in proportion to what it carries."""
     size = lamps.apparent_size(lamp, p)
     if size == ZERO:
         d, _ = lamps.lamp_at(lamp, p, ZERO, ZERO)
-        share = _seen(bvh, stack, start, side, p, d)
+        share = _seen(q, starts, bvh, stack, p, n, d)
         return share, share
     alpha = max(max(alpha, f32(0.3) * min(size, ONE)), lamps.LEAST_ALPHA)
     diffuse_all, diffuse_seen, glossy_all, glossy_seen = ZERO, ZERO, ZERO, ZERO
@@ -450,7 +520,7 @@ def _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, f0, rays, s
         unit = normalized_or(d, n)
         diffuse = weight * share * max(dot(n, unit), ZERO)
         if diffuse > ZERO:
-            seen = _seen(bvh, stack, start, side, p, d)
+            seen = _seen(q, starts, bvh, stack, p, n, d)
             glossy = weight * share * lamps.ggx_lobe(n, viewer, unit, alpha * alpha, f0) if f0 > ZERO else ZERO   # no lobe
             diffuse_all, glossy_all = diffuse_all + diffuse, glossy_all + glossy
             diffuse_seen, glossy_seen = diffuse_seen + seen * diffuse, glossy_seen + seen * glossy
@@ -465,25 +535,22 @@ def _own_shares(q, lamp, pixels, salt, shadow_map, starts, bvh, stack, rays, is_
     viewer, distance = _viewer(pixels, p)
     error = _error_of(pixels, p, distance)
     if starts.known[q] == 0:
-        start, side = _ray_start(bvh, stack, p, n, viewer, distance, error)
-        starts.place[q, 0], starts.place[q, 1], starts.place[q, 2] = start
-        starts.side[q, 0], starts.side[q, 1], starts.side[q, 2] = side
-        starts.known[q] = 1
-    start, side = load(starts.place, q), load(starts.side, q)
+        _find_start(q, p, n, viewer, distance, error, starts, bvh, stack)
     shift_u, shift_v = uniform(q, 2, salt), uniform(q, 3, salt)
     if is_minor:
         x, y, _ = lamps.lamp_place(lamp, p, shift_u, shift_v)
         d, _ = lamps.lamp_at(lamp, p, x, y)
-        share = _seen(bvh, stack, start, side, p, d)
+        share = _seen(q, starts, bvh, stack, p, n, d)
         return share, share
-    answer = shadow.look_around(shadow_map, p, side, error) if lamp.half_x > ZERO else shadow.ASK
+    answer = shadow.look_around(shadow_map, p, load(starts.side, q), error) if lamp.half_x > ZERO else shadow.ASK
     if answer != shadow.ASK:
         share = ONE if answer == shadow.LIT else ZERO
         return share, share
-    if expected >= ZERO and _still_holds(lamp, bvh, stack, p, start, side, expected, q + q // pixels.width & 1, shift_u):
+    if expected >= ZERO and _still_holds(q, lamp, starts, bvh, stack, p, n, expected, q + q // pixels.width & 1,
+                                                    shift_u):
         return expected, expected
     alpha = pixels.roughness[q] * pixels.roughness[q]
-    return _seen_shares(lamp, bvh, stack, p, n, viewer, start, side, alpha, pixels.f0[q], rays, shift_u, shift_v)
+    return _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, pixels.f0[q], rays, shift_u, shift_v)
 
 
 @inline_jit

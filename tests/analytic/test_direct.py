@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Frame, Light, LightKind, LightView
+from rtgi_addon.core.frame import NORMAL_STEPS, Frame, Light, LightKind, LightView
 from rtgi_addon.core.radiometry import texel_flux
 from rtgi_addon.core.synthetic import cast_view
 from rtgi_addon.core.techniques import DirectParams
@@ -173,6 +173,33 @@ def test_half_shadow_of_a_long_lamp_passes_under_what_its_centre_sees():
     # 256 stratified rays both times, and what neighbours settle; the map's word for it was off by a twelfth
     assert np.abs(got - wanted).sum() < 0.02 * wanted.sum()
     assert got.sum() == pytest.approx(wanted.sum(), rel=0.005)
+
+
+def coarse_ball(rows, columns):
+    """(T, 3, 3) triangles of a ball of radius 1 around the origin; their corners are their normals too."""
+    latitude = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)
+    longitude = np.linspace(0, 2 * np.pi, columns + 1)
+    across, up = np.cos(latitude)[:, None], np.sin(latitude)[:, None]
+    grid = np.stack(np.broadcast_arrays(across * np.cos(longitude), across * np.sin(longitude), up), -1)
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+    triangles = np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
+    edges = triangles[:, 1:] - triangles[:, :1]
+    return triangles[np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) > 1e-9]
+
+
+def test_coarse_smooth_ball_is_lit_wherever_its_shading_normal_sees_the_sun():
+    corners = coarse_ball(6, 8)
+    smooth = dataclasses.replace(geometry_of(corners), normals_ws=np.rint(corners * NORMAL_STEPS).astype(np.int16))
+    camera = view_from((0, 3, 0), (0, 0, 0), 0.4, 96, 96, up=(0.0, 0.0, 1.0))
+    seen = cast_view(camera, smooth)
+    radial = seen.position_ws / np.maximum(np.linalg.norm(seen.position_ws, axis=-1, keepdims=True), 1e-9)
+    seen = dataclasses.replace(seen, normal_ws=radial.astype(np.float32))
+    sun = Light("Sun", LightKind.SUN, looking((1.0, 0.6, 0.4), (0.0, 0.0, 0.0)), WHITE, angle_rad=0.0)
+    sees_sun = seen.mask & (seen.normal_ws @ -sun.direction_ws > 0.1)
+    lit, facets = (compute_direct(Frame(camera, seen, (sun,), (), geometry), DirectParams(), Context()).visibility[sees_sun]
+                   for geometry in (smooth, dataclasses.replace(smooth, normals_ws=None)))
+    assert (lit == 1).all()
+    assert facets.mean() < 0.995                 # flat triangles turn away from the sun before the ball does
 
 
 def test_half_shadow_on_a_matt_surface_seen_straight_on_is_finite():
