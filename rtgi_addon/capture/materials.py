@@ -23,6 +23,7 @@ SURFACE_TYPES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
 _NOT_MODELLED = {
     "volume": "its volume is left out",
     "subsurface": "subsurface scattering is rendered as plain diffuse reflection",
+    "sheen": "its sheen is rendered as plain diffuse reflection, too bright where lamps stand high over it",
     "refraction": "light is not refracted or let through; the surface is opaque to light that bounces",
     "translucency": "light from behind is not let through; the surface reflects it as if lit from the front",
     "displacement": "displacement shows in the picture, but shadows and bounces meet the undisplaced surface",
@@ -140,7 +141,11 @@ class SurfaceReader:
     def node_bsdf_diffuse(self, node):
         return Surface.of(diffuse=self._albedo(node))
 
-    node_bsdf_toon = node_bsdf_sheen = node_bsdf_diffuse
+    node_bsdf_toon = node_bsdf_diffuse
+
+    def node_bsdf_sheen(self, node):
+        self.found.add("sheen")
+        return self.node_bsdf_diffuse(node)
 
     def node_bsdf_glossy(self, node):
         # it has no Fresnel term: as much at normal incidence as at grazing
@@ -180,14 +185,16 @@ class SurfaceReader:
     def node_bsdf_principled(self, node):
         values = self.values
         base, tint = self._albedo(node, "Base Color"), self._albedo(node, "Specular Tint")
-        metallic, transmission, alpha, subsurface, coat = (
+        metallic, transmission, alpha, subsurface, coat, sheen = (
             np.clip(values.scalar(node, name), 0, 1)
-            for name in ("Metallic", "Transmission Weight", "Alpha", "Subsurface Weight", "Coat Weight"))
+            for name in ("Metallic", "Transmission Weight", "Alpha", "Subsurface Weight", "Coat Weight", "Sheen Weight"))
         roughness = np.clip(values.scalar(node, "Roughness"), 0, 1)
         if (transmission * (1 - metallic)).max() > 0:
             self.found.add("refraction")
         if (subsurface * (1 - metallic) * (1 - transmission)).max() > 0:
             self.found.add("subsurface")
+        if sheen.max() > 0:
+            self.found.add("sheen")
         # the specular level scales the reflectance at normal incidence, with 0.5 as the neutral value
         f0 = np.clip(normal_reflectance(values.scalar(node, "IOR")) * 2 * values.scalar(node, "Specular IOR Level"), 0, 1)
         taken = mean_reflectance(f0, roughness)

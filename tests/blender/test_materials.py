@@ -247,11 +247,12 @@ def test_refraction_is_warned_of_with_the_materials_name(shown):
     assert len(table.warnings) == 1 and table.warnings[0].startswith("material 'Paint': light is not refracted")
 
 
-def test_subsurface_is_warned_of_only_when_it_has_weight(shown):
+@pytest.mark.parametrize("what", ["Subsurface", "Sheen"])
+def test_what_is_taken_as_matt_is_warned_of_only_when_it_has_weight(shown, what):
     _, without = shown.read()
-    shown.set(Subsurface_Weight=0.5)
+    shown.set(**{f"{what}_Weight": 0.5})
     _, table = shown.read()
-    assert without.warnings == () and "subsurface" in table.warnings[0]
+    assert without.warnings == () and len(table.warnings) == 1 and what.lower() in table.warnings[0]
 
 
 def test_a_volume_is_warned_of(shown):
