@@ -18,7 +18,8 @@ from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y, width_at
 from .jit import device_jit, inline_jit
 from .lamps import LEAST_ALPHA, Lamp, lamp_at, lamp_place
 from .screen import HALF
-from .vec3 import ONE, ZERO, Vec3, add, begun, dot, f32, lifted, normalized_or, scaled, sub
+from .terminator import lifted_share
+from .vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, lifted, normalized_or, scaled, sub
 
 LEAST_REFLECTANCE = f32(1e-3)   # a surface that reflects less has no lobe
 SOFTENING = f32(0.5)        # of a reflecting lobe's width that goes to the highlights that it shows: 0.25 to 1 err alike
@@ -124,12 +125,12 @@ def _given(lights, k, albedo, diffuse, specular, glossy):
 
 
 @inline_jit
-def light_of_lamps(bvh, lights, stack, p, n, plane, towards, albedo, specular, roughness, known_f0, albedos, offset_m, u, v,
-                   pick):
+def light_of_lamps(bvh, lights, stack, p, n, plane, lift, towards, albedo, specular, roughness, known_f0, albedos, offset_m,
+                   u, v, pick):
     """Radiance that point p, normal n, sends along `towards` of the lamps' light: one shadow ray, to a lamp drawn by share.
 
-    `plane` is the triangle's normal: what lies below it is in the surface's own shadow, wherever n points. (u, v) is the
-    place on the lamp, `pick` draws the lamp; all in [0, 1).
+    `plane` is the triangle's normal: what lies below it is in the surface's own shadow, wherever n points, but for `lift`
+    (`terminator.smooth_lift`). (u, v) is the place on the lamp, `pick` draws the lamp; all in [0, 1).
     """
     reflectance = max(specular.x, max(specular.y, specular.z))
     alpha, f0, gain = max(roughness * roughness, LEAST_ALPHA), ZERO, ZERO
@@ -144,7 +145,8 @@ def light_of_lamps(bvh, lights, stack, p, n, plane, towards, albedo, specular, r
         unit = normalized_or(d, n)
         cosine = dot(n, unit)
         weight *= share
-        if not weight > ZERO or not cosine > ZERO or (lights.shadows[k] != 0 and not dot(plane, unit) > ZERO):
+        if not weight > ZERO or not cosine > ZERO or (
+                lights.shadows[k] != 0 and lifted_share(lift, n, plane, unit) < ZERO):
             continue
         glossy = weight * gain * ggx_lobe(n, towards, unit, alpha * alpha, f0) if gain > ZERO else ZERO
         given = _given(lights, k, albedo, INV_PI * weight * cosine, specular, glossy)
@@ -161,7 +163,8 @@ def light_of_lamps(bvh, lights, stack, p, n, plane, towards, albedo, specular, r
         return light
     arrives = ONE
     if lights.shadows[chosen] != 0:
-        start = begun(lifted(p, plane, offset_m), way, offset_m)
+        share = lifted_share(lift, n, plane, normalized_or(way, n))
+        start = begun(along(lifted(p, plane, offset_m), lift, share), way, offset_m)
         arrives = visibility(bvh, stack, start, sub(add(p, way), start))
     return scaled(light, arrives * total / kept)
 

@@ -24,6 +24,7 @@ from .screen import is_inside, to_screen, turn_to_view, view_vector
 from .shadow import ORTHOGRAPHIC
 from .shines import Shines, aim_at, aimed_at_sky, aimed_density, has_aim
 from .sky import sky_texel
+from .terminator import smooth_lift
 from .vec3 import (
     ONE,
     ZERO,
@@ -264,7 +265,9 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
             source, to_ray = bvh.source[slot], scaled(d, -ONE)
             n = normal_at(around, source, a, b, plane, side, to_ray)
             albedo, specular, roughness, f0 = colours_at(around, gloss.albedos, source, a, b, dot(n, to_ray))
-            roughness = softened(roughness, receiver)
+            roughness, lift = softened(roughness, receiver), Vec3(ZERO, ZERO, ZERO)
+            if around.normals.shape[0] > 0 and share < ONE and lights.kinds.shape[0] > 0:
+                lift = smooth_lift(bvh, around.normals, slot, a, b, plane)
             matt, glossy = Vec3(ZERO, ZERO, ZERO), Vec3(ZERO, ZERO, ZERO)
             # nothing is averaged over what a mirror shows, so that it shows the noise of half shadows
             lookups = SHARP_LOOKUPS if receiver * receiver < SHARP else 1
@@ -272,8 +275,8 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                 if share < ONE:
                     u, v = r2_sequence(look, uniform(q, 11, seed), uniform(q, 12, seed))
                     pick = (uniform(q, 13, seed) + f32(look)) / f32(lookups)
-                    matt = add(matt, light_of_lamps(bvh, lights, stack, p, n, plane, to_ray, albedo, specular, roughness, f0,
-                                                    gloss.albedos, rules.offset_m, u, v, pick))
+                    matt = add(matt, light_of_lamps(bvh, lights, stack, p, n, plane, lift, to_ray, albedo, specular,
+                                                    roughness, f0, gloss.albedos, rules.offset_m, u, v, pick))
                 if around.lights_up:
                     u, v = r2_sequence(look, uniform(q, 14, seed), uniform(q, 15, seed))
                     if share < ONE:

@@ -20,16 +20,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.frame import NORMAL_STEPS, Frame, Geometry, Light, LightKind, LightView
+from ..core.frame import Frame, Geometry, Light, LightKind, LightView
 from ..core.techniques import DirectParams
 from ..core.transforms import Projection
 from ..kernels import lamps, shadow
-from ..kernels.brdf import HALF, INV_PI, albedo_table, fit_lobe
-from ..kernels.bvh import STACK, Bvh, triangle_normal, visibility
+from ..kernels.brdf import INV_PI, albedo_table, fit_lobe
+from ..kernels.bvh import STACK, Bvh, visibility
 from ..kernels.jit import borrowed, inline_jit, pixel_jit, scratch
 from ..kernels.lamps import Lamp
 from ..kernels.sampling import r2_sequence, uniform
-from ..kernels.vec3 import ONE, ZERO, Vec3, add, along, begun, dot, f32, length, load, normalized_or, scaled, sub
+from ..kernels.terminator import lifted_share, smooth_lift
+from ..kernels.vec3 import ONE, ZERO, Vec3, along, begun, dot, f32, length, load, normalized_or, sub
 from .base import Context, PassResult, Technique, Transport
 from .screen import PROJECTION_CODES
 
@@ -39,7 +40,6 @@ TILE_RAYS = 1 << 21         # and rays at most: some half a second's
 POSITION_ERROR = f32(2e-6)  # of the distance to the viewer and of the coordinates
 OFFSET = f32(1.5e-6)        # of the coordinates: rounding of a ray's start on its triangle
 SKIP = f32(1e-6)            # of the largest coordinate: what a shadow ray does not look at before its start
-LOW = f32(0.1)              # cosine of a lamp over a triangle from which its shadow rays are lifted: Cycles' default
 SPAN = f32(1e-4)            # of the viewer's distance: how far from its position a pixel's triangle is looked for
 NEGLIGIBLE_SHARE = f32(3e-4)    # of what other lamps could give: a lamp that cannot give more is left out, see `ROUGH`
 ROUGH = f32(0.35)           # roughness from which no highlight outshines what a lamp gives to the diffuse lobe
@@ -53,7 +53,6 @@ LIKE_NORMAL = f32(0.9)      # cosine between the normals, at least
 LIKE_PLANE = f32(0.1)       # distance from the tangent plane over distance, at most
 EVEN_SPREAD = f32(0.2)      # and their mean will do in half shadow where they lie no farther apart than this
 UNKNOWN = f32(-1)
-STEP_OF_NORMALS = f32(1 / NORMAL_STEPS)
 SHARE_OF = np.float32([UNKNOWN, 1, 0, UNKNOWN])     # by the map's answer: none, LIT, DARK, ASK
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -381,46 +380,6 @@ def _light_pixels(begin, end, index, lamp, colours, pixels, salt, shadow_map, te
 
 
 @inline_jit
-def _corner_normal(normals, t, corner, sign):
-    return scaled(Vec3(f32(normals[t, corner, 0]), f32(normals[t, corner, 1]), f32(normals[t, corner, 2])), sign)
-
-
-@inline_jit
-def _rise(first, second, to_corner, n):
-    """How far a corner's tangent plane, moved up to clear the triangle, lies above a point of it.
-
-    first, second: edges from the corner; to_corner: from the point; n: the corner's normal.
-    """
-    return max(dot(to_corner, n) + max(max(dot(first, n), dot(second, n)), ZERO), ZERO)
-
-
-@inline_jit
-def _lift(bvh, normals, slot, a, b, side):
-    """Vector from place (a, b) of a triangle to the smooth surface that its corners' normals tell, on the side of `side`.
-
-    A parabola through the corners, half of it, or what the tangent planes at the corners leave: rays that begin there clear
-    the neighbours of a coarse mesh's triangle, as in Cycles ("shadow terminator"; Hanika 2021, "Hacking the Shadow
-    Terminator"). 0 for a flat triangle.
-    """
-    t, c = bvh.source[slot], bvh.corners
-    sign = STEP_OF_NORMALS if dot(triangle_normal(bvh, slot), side) > ZERO else -STEP_OF_NORMALS
-    n0, n1 = _corner_normal(normals, t, 0, sign), _corner_normal(normals, t, 1, sign)
-    n2 = _corner_normal(normals, t, 2, sign)
-    edge_1, edge_2 = Vec3(c[slot, 3], c[slot, 4], c[slot, 5]), Vec3(c[slot, 6], c[slot, 7], c[slot, 8])
-    u = ONE - a - b
-    n = add(scaled(n0, u), add(scaled(n1, a), scaled(n2, b)))
-    if not dot(n, side) > ZERO:
-        return Vec3(ZERO, ZERO, ZERO)
-    across = sub(edge_2, edge_1)
-    by_0, by_1, by_2 = dot(sub(n1, n0), edge_1), dot(sub(n2, n1), across), dot(sub(n2, n0), edge_2)   # each edge's bend
-    bend = by_2 * u * (ONE - u) + (by_0 - by_1 - by_2) * u * a + by_1 * a * (ONE - a)
-    back = scaled(add(scaled(edge_1, a), scaled(edge_2, b)), -ONE)
-    planes = min(min(_rise(edge_1, edge_2, back, n0), _rise(scaled(edge_1, -ONE), across, add(back, edge_1), n1)),
-                 _rise(scaled(edge_2, -ONE), scaled(across, -ONE), add(back, edge_2), n2))
-    return scaled(n, max(planes, HALF * bend))
-
-
-@inline_jit
 def _find_start(q, p, n, viewer, distance, error, starts, bvh, stack):
     """Enter pixel q into `starts`."""
     span = max(SPAN * distance, f32(16) * error)
@@ -432,7 +391,7 @@ def _find_start(q, p, n, viewer, distance, error, starts, bvh, stack):
         size = max(abs(o.x), max(abs(o.y), abs(o.z)))
         place = along(o, side, OFFSET * size + f32(0.05) * error)
         if starts.normals.shape[0] > 0:
-            starts.lift[q, 0], starts.lift[q, 1], starts.lift[q, 2] = _lift(bvh, starts.normals, slot, a, b, side)
+            starts.lift[q, 0], starts.lift[q, 1], starts.lift[q, 2] = smooth_lift(bvh, starts.normals, slot, a, b, side)
     starts.place[q, 0], starts.place[q, 1], starts.place[q, 2] = place
     starts.side[q, 0], starts.side[q, 1], starts.side[q, 2] = side
     starts.known[q] = 1
@@ -440,21 +399,12 @@ def _find_start(q, p, n, viewer, distance, error, starts, bvh, stack):
 
 @inline_jit
 def _seen(q, starts, bvh, stack, p, n, d):
-    """Share of light that gets along the vector d from a lamp to p; none from behind the triangle's own plane.
-
-    Where the lamp stands low over a smooth-shaded triangle, or below it and not below the shading normal n's plane, the ray
-    begins on the surface that the triangle stands for.
-    """
-    start, side, lift = load(starts.place, q), load(starts.side, q), load(starts.lift, q)
-    is_lifted = False
-    if dot(lift, lift) > ZERO:
-        rcp = ONE / max(length(d), f32(1e-30))
-        by_shading, by_plane = dot(n, d) * rcp, dot(side, d) * rcp
-        amount = ONE - by_plane / LOW if by_shading >= LOW else f32(2) - (by_plane + by_shading) / LOW
-        is_lifted = amount > ZERO
-        start = along(start, lift, min(max(amount, ZERO), ONE))
-    if not is_lifted and dot(side, d) <= ZERO:
+    """Share of light that gets along the vector d from a lamp to p, whose shading normal is n."""
+    lift = load(starts.lift, q)
+    share = lifted_share(lift, n, load(starts.side, q), normalized_or(d, n))
+    if share < ZERO:
         return ZERO
+    start = along(load(starts.place, q), lift, share)
     # in a crease rounding may put the start behind the other surface: begin a few units in the last place along the ray
     size = max(abs(p.x), max(abs(p.y), abs(p.z)))
     begin = begun(start, d, SKIP * size)
