@@ -40,7 +40,7 @@ def test_middle_of_an_edge_rises_to_where_the_tangent_planes_of_its_ends_meet(fi
     weights = np.zeros(3)
     weights[[first, second]] = 0.5
     half_chord = np.linalg.norm(BALL[first] - BALL[second]) / 2
-    # sin^2 / cos over the chord, for the half angle between the ends; the interpolated normal's length, cos, is not divided out
+    # sin^2 / cos over the chord, for half the angle between the ends; the interpolated normal is as short as its cosine
     meeting = half_chord**2 / np.sqrt(1 - half_chord**2)
     assert np.linalg.norm(lift_at(weights)) == pytest.approx(meeting, rel=2 * half_chord**2)
     assert lift_at(weights) @ (weights @ BALL) > 0
