@@ -294,17 +294,18 @@ def test_a_ball_turned_inside_out_is_the_same_from_outside():
 
 
 def test_light_from_below_a_triangle_does_not_reach_it_whatever_its_normals_say():
-    # a sheet that faces the mirror, lit from behind; its normals lean towards the lamp
+    # a sheet of 32 by 32 squares that faces the mirror, lit from behind; its normals lean towards the lamp
     frame, _ = ball_over_a_mirror()
-    sheet = quad((0.0, 1.0, 2.2), 3.0, 3.0)
-    lean = np.broadcast_to(np.array([0.0, -0.995, -0.0999]), (4, 3, 3)).copy()
+    steps = -3 + (np.arange(32) + 0.5) * 6 / 32
+    sheet = np.concatenate([quad((x, 1.0 + y, 2.2), 3 / 32, 3 / 32) for x in steps for y in steps])
+    lean = np.broadcast_to(np.array([0.0, -0.995, -0.0999]), (2 + len(sheet), 3, 3)).copy()
     lean[:2] = 0
     geometry = shaded_smooth(geometry_of(quad((0, 0, 0), 6, 6), sheet[:, ::-1]), lean)
     frame = dataclasses.replace(frame, geometry=geometry)
     assert (lean[2, 0] @ -frame.lights[0].direction_ws) > 0.5
-    assert not reflected(frame, Context()).any()
     bare = dataclasses.replace(frame, lights=tuple(dataclasses.replace(x, casts_shadow=False) for x in frame.lights))
-    assert reflected(bare, Context()).any()
+    # rays that begin above a smooth-shaded triangle meet the next one, but for those at the sheet's edge, a row of 32 or two
+    assert reflected(frame, Context()).sum() < 0.07 * reflected(bare, Context()).sum()
 
 
 def test_an_even_sky_lights_a_smooth_ball_as_a_flat_one():

@@ -74,7 +74,7 @@ def test_other_directions_are_as_the_triangles_lit_anew(frame):
         towards = vector(np.array(direction) / np.linalg.norm(direction))
         mine = np.array(sent(frame, i, j, towards, 1e9))
         lamps = pack_lights(bare.lights, 100.0)
-        anew = np.array([light_of_lamps(bvh, lamps, stack, p, n, n, towards, black, vector(np.full(3, s)),
+        anew = np.array([light_of_lamps(bvh, lamps, stack, p, n, n, black, towards, black, vector(np.full(3, s)),
                                         g.roughness[i, j], f32(0), albedo_table(), f32(1e-5), f32(0.5), f32(0.5), f32(0.5))
                          for s in (0.02, 0.06, 0.12)])
         # between a reflectance of a third and of twice the one towards the camera: it follows the angle, not the lobe
