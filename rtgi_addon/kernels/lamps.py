@@ -33,14 +33,15 @@ POLYGON = 16                # sides of the polygon that stands for an ellipse; o
 AREA_SAMPLES = 64           # of the sums that have no closed form
 FEW_AREA_SAMPLES = 16
 LEAST_ALPHA = f32(0.006)    # sharper lobes are below float32's resolution of the half vector
-SHARP = f32(0.5)            # alpha over apparent half size below which rays of the lobe tell what it reflects of a lamp:
+SHARP = f32(0.75)           # alpha over apparent half size below which rays of the lobe tell what it reflects of a lamp:
                             # four places of the lamp would show as four lamps
 SHARP_RAYS = 16
 MIRROR_ALPHA = f32(1e-3)    # one ray tells
 MINOR_LOBE = f32(0.02)      # of the light of a white matt surface: less of it need not be known to a tenth
 METALS = f32(0.3)           # reflectance from which a surface may have nothing but its lobe
 RIM = f32(0.96)             # of the half size: where rays to the rim go
-TAIL = f32(24)              # alphas from its mirror direction beyond which a lobe holds less than a fiftieth of a percent
+TAIL = f32(24)              # alphas from its mirror direction beyond which a lobe holds less than a fiftieth of a percent,
+                            # and a lamp's centre tells what it gives there
 
 
 class Lamp(NamedTuple):

@@ -1,4 +1,4 @@
-"""Where shadow rays of coarse smooth-shaded meshes begin: on the surface that their normals tell.
+"""Where shadow rays of coarse smooth-shaded meshes begin: above the surface that their normals tell.
 
 Such a mesh turns its triangles away from a lamp before its shading normals do, and stands in its own way beside the edge of
 light, the "shadow terminator". As in Cycles, rays to lamps that stand low over the triangle begin above it (Hanika 2021,

@@ -8,7 +8,7 @@ stratified set over its shape. The share of the light that arrives, in proportio
 the closed form, so noise is left in half shadows only. Pixels in even rows and columns go first; the others ask them, and
 where these agree two rays to the lamp's rim are enough.
 
-Where a lamp stands low over a triangle of a smooth-shaded, coarse mesh, rays begin on the surface that its normals tell.
+Where a lamp stands low over a triangle of a smooth-shaded, coarse mesh, rays begin above the surface that its normals tell.
 
 Deviations from Cycles: an object's own "Shadow Terminator" offsets are taken as the default.
 """
@@ -206,7 +206,7 @@ class _Bare(NamedTuple):
 class _Starts(NamedTuple):
     """Where shadow rays of a pixel start, (N, 3), and its triangle's normal on the viewer's side; `known` once found.
 
-    lift (N, 3): from the triangle to the smooth surface that it stands for. normals: `core.frame.Geometry.normals_ws`,
+    lift (N, 3): see `terminator.smooth_lift`. normals: `core.frame.Geometry.normals_ws`,
     without a length where all triangles are flat.
     """
 
@@ -496,8 +496,8 @@ def _own_shares(q, lamp, pixels, salt, shadow_map, starts, bvh, stack, rays, is_
     if answer != shadow.ASK:
         share = ONE if answer == shadow.LIT else ZERO
         return share, share
-    if expected >= ZERO and _still_holds(q, lamp, starts, bvh, stack, p, n, expected, q + q // pixels.width & 1,
-                                                    shift_u):
+    first = q + q // pixels.width & 1
+    if expected >= ZERO and _still_holds(q, lamp, starts, bvh, stack, p, n, expected, first, shift_u):
         return expected, expected
     alpha = pixels.roughness[q] * pixels.roughness[q]
     return _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, pixels.f0[q], rays, shift_u, shift_v)

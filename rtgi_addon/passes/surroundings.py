@@ -18,8 +18,8 @@ from .base import Context, Transport
 from .direct import pack_lamp
 from .sky_light import shrink_map, sky_distribution
 
-SMALL = 0.3                # area of emissive triangles over that of the scene's bounds from which they are not aimed at
-PEAK = 12                  # times the mean radiance from which a part of the world is aimed at
+SMALL = 0.3                 # area of emissive triangles over that of the scene's bounds from which they are not aimed at
+PEAK = 12                   # times the mean radiance from which a part of the world is aimed at
 MAX_SKY = (512, 1024)       # a mirror shows the world at the resolution of its map, up to this
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import NORMAL_STEPS, Frame, Light, LightKind, LightView
+from rtgi_addon.core.frame import Frame, Light, LightKind, LightView
 from rtgi_addon.core.radiometry import texel_flux
 from rtgi_addon.core.synthetic import cast_view
 from rtgi_addon.core.techniques import DirectParams
@@ -15,6 +15,7 @@ from rtgi_addon.core.transforms import ViewFormat
 from rtgi_addon.light_views import sphere_camera
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.direct import compute_direct
+from tests.mirror_frames import coarse_ball, shaded_smooth
 from tests.plane_frames import frame_of, geometry_of, looking, plane_frame, quad, view_from
 
 FLOAT32 = 2e-5          # a dozen roundings
@@ -175,21 +176,9 @@ def test_half_shadow_of_a_long_lamp_passes_under_what_its_centre_sees():
     assert got.sum() == pytest.approx(wanted.sum(), rel=0.005)
 
 
-def coarse_ball(rows, columns):
-    """(T, 3, 3) triangles of a ball of radius 1 around the origin; their corners are their normals too."""
-    latitude = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)
-    longitude = np.linspace(0, 2 * np.pi, columns + 1)
-    across, up = np.cos(latitude)[:, None], np.sin(latitude)[:, None]
-    grid = np.stack(np.broadcast_arrays(across * np.cos(longitude), across * np.sin(longitude), up), -1)
-    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
-    triangles = np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
-    edges = triangles[:, 1:] - triangles[:, :1]
-    return triangles[np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) > 1e-9]
-
-
 def test_coarse_smooth_ball_is_lit_wherever_its_shading_normal_sees_the_sun():
-    corners = coarse_ball(6, 8)
-    smooth = dataclasses.replace(geometry_of(corners), normals_ws=np.rint(corners * NORMAL_STEPS).astype(np.int16))
+    ball, normals = coarse_ball((0.0, 0.0, 0.0), 1.0, 10)
+    smooth = shaded_smooth(geometry_of(ball), normals)
     camera = view_from((0, 3, 0), (0, 0, 0), 0.4, 96, 96, up=(0.0, 0.0, 1.0))
     seen = cast_view(camera, smooth)
     radial = seen.position_ws / np.maximum(np.linalg.norm(seen.position_ws, axis=-1, keepdims=True), 1e-9)

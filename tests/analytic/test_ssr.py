@@ -293,7 +293,7 @@ def test_a_ball_turned_inside_out_is_the_same_from_outside():
     assert a.any() and np.isclose(a, b, atol=1e-4 * a.max()).all(-1).mean() > 0.995
 
 
-def test_light_from_below_a_triangle_does_not_reach_it_whatever_its_normals_say():
+def test_light_from_below_a_sheet_does_not_reach_it_though_its_normals_lean_to_the_lamp():
     # a sheet of 32 by 32 squares that faces the mirror, lit from behind; its normals lean towards the lamp
     frame, _ = ball_over_a_mirror()
     steps = -3 + (np.arange(32) + 0.5) * 6 / 32

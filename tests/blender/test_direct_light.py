@@ -185,3 +185,31 @@ def test_a_sun_in_the_world_lights_and_shadows_as_in_cycles(bpy_session, small_s
         sun = transports[Transport.DIRECT_DIFFUSE].mean(-1)
         floor = mask & (transports[Transport.WORLD_DIFFUSE].mean(-1) > 0)
         assert (sun[floor] == 0).any() and (sun[floor] > 0).any()           # shadows have an edge
+
+
+@pytest.mark.parametrize(("cells", "lean", "is_lit"), [(1, 0.995, True), (32, 0.995, False), (1, 0.5, False)])
+def test_sheet_whose_normals_lean_to_a_sun_behind_it_is_lit_as_in_cycles(bpy_session, small_scene, cells, lean, is_lit):
+    """Rays lifted off one large triangle pass beside the sheet; of small ones they meet the next, as they do at less lean."""
+    from rtgi_addon.compare.measure import part_of
+
+    bpy = bpy_session
+    for thing in [o for o in small_scene.objects if o.type in ("MESH", "LIGHT")]:
+        bpy.data.objects.remove(thing)
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=cells, y_subdivisions=cells, size=6, location=(0.0, 0.0, 2.0),
+                                    rotation=(math.pi, 0.0, 0.0))
+    sheet = bpy.context.object
+    bpy.ops.object.shade_smooth()
+    sheet.data.materials.append(bpy.data.materials["Floor"])
+    normal = (0.0, lean, math.sqrt(1 - lean * lean))         # of the sheet, which is turned over: leans towards -Y
+    sheet.data.normals_split_custom_set([normal] * len(sheet.data.loops))
+    lamp = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    lamp.data.angle, lamp.data.energy, lamp.rotation_euler = 0.0, 3.0, (0.93, 0.0, 0.0)        # shines down and along +Y
+    small_scene.collection.objects.link(lamp)
+    small_scene.camera.location, small_scene.camera.rotation_euler = (0.0, 0.0, -4.0), (math.pi, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    transports, reference = rtgi_and_cycles(small_scene)
+    got, wanted = (light[reference.mask] for light in (part_of(transports, "direct diffuse", reference.albedo),
+                                                       reference.mean("direct diffuse")))
+    assert (wanted.max() > 0) == is_lit
+    # no noise: one direction, and the whole sheet alike
+    np.testing.assert_allclose(got, wanted, rtol=1e-3, atol=1e-6)

@@ -7,17 +7,20 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rtgi_addon.core.frame import Geometry, World
+from rtgi_addon.core.frame import Geometry, Material, World
 from rtgi_addon.core.radiometry import texel_directions
 from rtgi_addon.core.techniques import FinalGatherParams, SsrParams
 from rtgi_addon.kernels import shines as shines_kernel
+from rtgi_addon.kernels.bvh import STACK, build_bvh
+from rtgi_addon.kernels.sampling import cosine_hemisphere
+from rtgi_addon.kernels.scene_light import _from_above
 from rtgi_addon.kernels.shines import aim_at
 from rtgi_addon.kernels.vec3 import f32, vector
 from rtgi_addon.passes import ssr, surroundings
 from rtgi_addon.passes.base import Context, Transport
 from rtgi_addon.passes.final_gather import compute_final_gather
 from rtgi_addon.passes.ssr import compute_ssr
-from rtgi_addon.passes.surroundings import shines_of
+from rtgi_addon.passes.surroundings import shines_of, surroundings_of
 from tests.mirror_frames import camera_at, glossy, on_floor, scene_frame, wall
 
 NO_SKY = np.zeros((1, 1, 3), np.float32)
@@ -123,8 +126,13 @@ def test_a_tube_that_falls_between_the_pixels_is_reflected(monkeypatch):
     assert np.mean(light) > 0.1
 
 
-def test_aimed_rays_change_the_noise_of_the_bounce_and_not_its_mean(monkeypatch):
+@pytest.mark.parametrize("between", ["matt", "polished"])
+def test_aimed_rays_change_the_noise_of_the_bounce_and_not_its_mean(monkeypatch, between):
     frame = floor_before_a_tube(0.5, height_m=0.4)
+    if between == "polished":                    # the lobes of the surfaces between are aimed
+        polished = Material(between, (0.0, 0.0, 0.0), (0.8, 0.8, 0.8), 0.3)
+        black = dataclasses.replace(frame.geometry, albedo=np.zeros_like(frame.geometry.albedo))
+        frame = dataclasses.replace(frame, geometry=black, materials=(polished,))
 
     def gathered(seed):
         light = compute_final_gather(frame, FinalGatherParams(rays=128, lattice_px=1), Context(), seed).light
@@ -135,3 +143,16 @@ def test_aimed_rays_change_the_noise_of_the_bounce_and_not_its_mean(monkeypatch)
     monkeypatch.setattr(surroundings, "shines_of", lambda geometry, sky: none)
     plain_runs = np.array([gathered(seed) for seed in range(400)])
     assert_less_noise_and_the_same_mean(plain_runs, aimed_runs, 0.8)
+
+
+def test_a_ray_along_the_surface_that_meets_nothing_brings_nothing():
+    """Its cosine is 0, and nobody would have aimed there: 0 / 0 is none of light."""
+    grazing = [v for v in np.linspace(0, 1, 64, False) if cosine_hemisphere(f32(0), f32(v)).z == 0]
+    frame = floor_before_a_tube(0.5)
+    around, up = surroundings_of(frame, frame.geometry), vector(np.array([0.0, 0.0, 1.0]))
+    assert grazing and shines_kernel.has_aim(around.shines)
+    for v in grazing:
+        light = _from_above(build_bvh(frame.geometry.corners_ws), around, np.empty(STACK, np.int32),
+                            vector(np.array([0.0, 0.0, 10.0])), up, up, vector(np.full(3, 0.5)), f32(1e-5), f32(100), f32(0),
+                            f32(v), f32(0.75))
+        assert tuple(light) == (0, 0, 0)

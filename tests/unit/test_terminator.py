@@ -8,14 +8,10 @@ import pytest
 from rtgi_addon.core.frame import NORMAL_STEPS
 from rtgi_addon.kernels.bvh import build_bvh
 from rtgi_addon.kernels.terminator import LOW, lifted_share, smooth_lift
-from rtgi_addon.kernels.vec3 import Vec3, f32
+from rtgi_addon.kernels.vec3 import f32, vector
 
 CORNERS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) @ np.diag([0.3, 0.3, 1.0]) + [0, 0, 2]
 BALL = CORNERS / np.linalg.norm(CORNERS, axis=1, keepdims=True)     # three places of the unit ball, some ten degrees apart
-
-
-def vector(values):
-    return Vec3(*(f32(v) for v in values))
 
 
 def outwards():
