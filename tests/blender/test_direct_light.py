@@ -189,7 +189,7 @@ def test_a_sun_in_the_world_lights_and_shadows_as_in_cycles(bpy_session, small_s
 
 @pytest.mark.parametrize(("cells", "lean", "is_lit"), [(1, 0.995, True), (32, 0.995, False), (1, 0.5, False)])
 def test_sheet_whose_normals_lean_to_a_sun_behind_it_is_lit_as_in_cycles(bpy_session, small_scene, cells, lean, is_lit):
-    """Rays lifted off one large triangle pass beside the sheet; of small ones they meet the next, as they do at less lean."""
+    """Rays lifted off one large triangle pass beside the sheet, off small ones they meet the next, as at less lean."""
     from rtgi_addon.compare.measure import part_of
 
     bpy = bpy_session

@@ -85,9 +85,9 @@ def test_a_lamp_in_a_corner_lights_the_same_once_its_texels_lie_in_one_cell(name
 
 
 # By rays through the scene a pixel that no neighbour can serve is gathered by itself: what is left is the noise of 256 rays,
-# of what shines a few of which meet it (vxgi), of lobes (ssr; final_gather: 0.6 % with 1024 rays). What follows the screen
-# spreads from the gather points that lie on the strip, at other heights, and averages the slices of fewer.
-OF_A_STRIP = {"hbao": 0.2, "ssao": 0.2, "ssdo": 0.2, "vxgi": 0.1, "ssr": 0.1, "final_gather": 0.06}
+# of what shines a few of which meet it (vxgi), of lobes (ssr). What follows the screen spreads from the gather points that
+# lie on the strip, at other heights, and averages the slices of fewer.
+OF_A_STRIP = {"hbao": 0.2, "ssao": 0.2, "ssdo": 0.2, "vxgi": 0.1, "ssr": 0.1}
 
 
 @pytest.mark.parametrize("name", [name for name in CHEAP if hasattr(CHEAP[name], "lattice_px")])
