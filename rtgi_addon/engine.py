@@ -248,7 +248,8 @@ class RTGIEngine(bpy.types.RenderEngine):
             self._raw = views.passes()
             height, width = self._raw["Depth"].shape[:2]
             camera = main_camera(self.camera_override, self._window, (width, height), self._origin_ws)
-            gbuffer = views.to_gbuffer(self._raw, camera)
+            with kernel_session(settings.threads):
+                gbuffer = views.to_gbuffer(self._raw, camera)
         context.checkpoint()
         with stages("world"):
             world, suns_of_world = self._capture_world(views, width, height)
@@ -284,7 +285,9 @@ class RTGIEngine(bpy.types.RenderEngine):
                         seen = light_views.cast_view(light, light_camera, frame, bvh, around)
                 elif seen is None:
                     with views.looking_through(light_camera, near_m, far_m):
-                        seen = views.to_gbuffer(views.passes(light_camera), light_camera)
+                        passes = views.passes(light_camera)
+                    with kernel_session(settings.threads):
+                        seen = views.to_gbuffer(passes, light_camera)
                 if _keeps_views:
                     self._kept.put(light, light_camera, near_m, seen)
                 captured.append(light_views.view_of(i, light, light_camera, seen))

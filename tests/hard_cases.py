@@ -156,7 +156,7 @@ def grazing_error(name: str, tilt: float) -> float:
     else:
         frame = dataclasses.replace(bare_floor(frame), lights=(), views=())
         transport = WORLDS.get(name, Transport.WORLD_GLOSSY)
-        wanted = np.full(len(p), np.pi if name in WORLDS else 0.5)      # Glossy Color times the sky's radiance
+        wanted = np.full(len(p), np.pi if name in WORLDS else 0.5)      # `specular` times the sky's radiance
     return relative(run(name, frame, params).light[transport][mask][:, 0], wanted)
 
 

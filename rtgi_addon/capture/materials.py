@@ -14,9 +14,9 @@ import numpy as np
 
 from ..core.frame import Material
 from .images import ImageCache
+from .needs import SCATTERING_NODES
 from .nodes import BOUNCED_PATH, NodeReader, Points, node_tree, normal_reflectance, spread_evenly
 
-_GLOSSY_NODES = ("BSDF_PRINCIPLED", "BSDF_GLOSSY", "BSDF_ANISOTROPIC")
 SURFACE_TYPES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
 
 # how each thing that is not modelled shows up; the datablock's name goes in front
@@ -279,6 +279,11 @@ class MaterialTable:
         return np.array([material.f0 for material in self.materials], np.float32)
 
     @property
+    def keeps_energy(self) -> np.ndarray:
+        """(M,) float32, 0 for materials whose lobes scatter once and lose what the microfacets hide from each other."""
+        return np.array([material.keeps_energy for material in self.materials], np.float32)
+
+    @property
     def pass_index(self) -> np.ndarray:
         """(M,) float32 pass index that the user gave each material, which `number_materials` hides from Cycles."""
         return np.array([0 if m is None else m.original.pass_index for m in self.evaluated], np.float32)
@@ -324,7 +329,7 @@ def _keeps_energy(material: bpy.types.Material | None) -> bool:
     Cycles' Glossy Color leaves that loss out, so it has to be known.
     """
     tree = node_tree(material) if material else None
-    kinds = {node.distribution for node in tree.nodes if node.type in _GLOSSY_NODES} if tree else set()
+    kinds = {node.distribution for node in tree.nodes if node.type in SCATTERING_NODES} if tree else set()
     return not kinds or "MULTI_GGX" in kinds
 
 

@@ -11,6 +11,7 @@ from .nodes import node_tree
 from .versions import HAS_ROUGHNESS_PASS, pass_name
 
 ROUGHNESS_PASS = "Denoising Roughness"
+SCATTERING_NODES = ("BSDF_PRINCIPLED", "BSDF_GLOSSY", "BSDF_ANISOTROPIC")
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,13 @@ def _may_shine(world: bpy.types.World | None) -> bool:
 
 
 def _lobes(tree: bpy.types.NodeTree) -> Iterator[tuple]:
-    """What tells a glossy lobe's reflectance at normal incidence, of each node that has one and is no metal for sure."""
+    """What tells a glossy lobe's reflectance: at normal incidence, of each node that has one and is no metal for sure, and
+    whether it scatters but once."""
     for node in tree.nodes:
         if node.type == "GROUP" and node.node_tree is not None:
             yield from _lobes(node.node_tree)
+        elif node.type in SCATTERING_NODES and node.distribution != "MULTI_GGX":
+            yield ("single scattering",)
         elif node.type in {"BSDF_GLOSSY", "BSDF_ANISOTROPIC"}:
             yield ("without Fresnel",)
         elif node.type in {"BSDF_GLASS", "BSDF_PRINCIPLED"} and not _is_metal(node):

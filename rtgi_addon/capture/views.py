@@ -20,6 +20,8 @@ from ..core.frame import GBuffer
 from ..core.radiometry import mean_of
 from ..core.transforms import Camera, Projection, ViewFormat
 from ..errors import CaptureError, InputError
+from ..kernels.brdf import albedo_table
+from ..kernels.glossy_colour import correct_colours
 from .lights import rigid
 from .materials import MaterialTable
 from .needs import ROUGHNESS_PASS
@@ -227,7 +229,13 @@ class ViewCapture:
             emission = emission + _seen_through(world, depth)
         arrays = (depth, camera.positions_ws(depth), normal, albedo, specular, roughness, emission,
                   self._of_materials(clean, "f0", 0.0))
-        return GBuffer(*(np.ascontiguousarray(a, np.float32) for a in arrays))
+        gbuffer = GBuffer(*(np.array(a, np.float32, order="C") for a in arrays))
+        if specular.any():
+            keeps_energy, eye = self._of_materials(clean, "keeps_energy", 1.0), camera.position_ws.astype(np.float32)
+            correct_colours(gbuffer.shape[0], gbuffer.specular, gbuffer.normal_ws, gbuffer.position_ws, gbuffer.roughness,
+                            gbuffer.f0, keeps_energy, eye, camera.world_from_view[:3, 2].astype(np.float32),
+                            camera.projection is Projection.ORTHOGRAPHIC, albedo_table())
+        return gbuffer
 
     def _roughness(self, passes: dict[str, np.ndarray], albedo: np.ndarray, specular: np.ndarray) -> np.ndarray:
         """(H, W) perceptual roughness.

@@ -107,7 +107,7 @@ class GBuffer:
     albedo : (H, W, 3) float32
         Diffuse reflectance in [0, 1], as seen (a coat or specular layer above has taken its share).
     specular : (H, W, 3) float32
-        Directional reflectance of the glossy lobe towards the viewer ("Glossy Color").
+        Directional reflectance of the glossy lobe towards the viewer.
     roughness : (H, W) float32
         Perceptual: GGX alpha is its square.
     emission : (H, W, 3) float32 W/(m2 sr)
@@ -294,12 +294,6 @@ class Frame:
     world: World = field(default_factory=World)
     origin_ws: np.ndarray = field(default_factory=lambda: np.zeros(3))
     warnings: tuple[str, ...] = ()
-
-    @property
-    def keeps_energy(self) -> bool:
-        """Whether glossy light is to add up to Glossy Color; a frame of mixed materials is taken to."""
-        glossy = [material for material in self.materials if max(material.specular) > 1e-4]
-        return not glossy or any(material.keeps_energy for material in glossy)
 
     @property
     def ray_offset_m(self) -> float:

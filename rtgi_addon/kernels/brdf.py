@@ -1,9 +1,10 @@
 """The glossy lobe: GGX with Smith's height-correlated shadowing and Fresnel's rise, normalised to a known reflectance.
 
-Cycles' passes tell how much a glossy surface reflects towards the viewer ("Glossy Color": Fresnel, multiple scattering
-and colour are in it), but not where to. `ggx_lobe` gives the shape, `fit_lobe` makes its hemispherical integral 1, and
-the pass's colour scales it. By reciprocity one function serves both uses: light arrives along `fixed` and leaves along
-`other` (a reflective shadow map's texel), or leaves along `fixed` and arrives along `other` (a camera's pixel).
+Cycles' passes tell about how much a glossy surface reflects towards the viewer ("Glossy Color": Fresnel, multiple scattering
+and colour are in it; `reflected_share` makes it exact), but not where to. `ggx_lobe` gives the shape, `fit_lobe` makes its
+hemispherical integral 1, and the colour scales it. By reciprocity one function serves both uses: light arrives along `fixed`
+and leaves along `other` (a reflective shadow map's texel), or leaves along `fixed` and arrives along `other` (a camera's
+pixel).
 
 Whether reflectance rises (a dielectric) or not (a metal) is told by the material, or else by the colour too: `fit_lobe`
 solves it for the reflectance at normal incidence. Without either a surface is taken as a dielectric of index 1.5.
@@ -24,7 +25,7 @@ INV_PI = f32(1 / math.pi)
 HALF = f32(0.5)
 F0 = f32(0.04)              # reflectance at normal incidence of a dielectric of index 1.5
 GAIN_STEPS = 32             # cells of the tables of albedos, along cosine and along alpha
-_QUADRATURE = 24            # nodes an axis of the integral over half vectors
+_QUADRATURE = 32            # nodes an axis of the integral over half vectors
 
 
 @inline_jit
@@ -102,47 +103,69 @@ def lobe_density(normal, fixed, other, alpha):
 
 
 @functools.cache
-def albedo_table(keeps_energy: bool = True) -> np.ndarray:
-    """(GAIN_STEPS, GAIN_STEPS, 2) float32: hemispherical integrals of the lobe, without Fresnel and of Fresnel's rise alone.
+def albedo_table() -> np.ndarray:
+    """(GAIN_STEPS, GAIN_STEPS, 3) float32 of a lobe's reflectance.
 
-    Rows are cosines of `fixed`, columns alphas, at the middles of even cells of [0, 1]. Half vectors are drawn with the
-    density D cos: then the integrand is shadowing x Fresnel x 4 cos_other (v.h) / cos_h, and smooth for every alpha.
-    For lobes of single scattering, which do not keep energy, both are relative to the first: then the gain leaves out
-    what the microfacets hide, as the colour that scales it does.
+    The hemispherical integrals of the lobe without Fresnel and of Fresnel's rise alone, and the rise that Cycles' Glossy
+    Color tells. Rows are cosines of `fixed`, columns alphas, at the middles of even cells of [0, 1]. Half vectors are drawn
+    with the density D cos: then the integrand is shadowing x Fresnel x 4 cos_other (v.h) / cos_h, and smooth for every
+    alpha; more of them stand at grazing. Each row is turned a little further than the last, since the mean over visible
+    normals ends abruptly at the horizon.
     """
     steps = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
     cos_f, alpha2 = steps[:, None, None, None], (steps**2)[None, :, None, None]
-    u = ((np.arange(_QUADRATURE) + 0.5) / _QUADRATURE)[None, None, :, None]
-    phi = ((np.arange(_QUADRATURE) + 0.5) / _QUADRATURE * math.pi)[None, None, None, :]
+    left = 1 - (np.arange(_QUADRATURE)[:, None] + 0.5) / _QUADRATURE
+    u = 1 - left**2
+    turn = np.arange(_QUADRATURE)[:, None] * (math.sqrt(5) - 1) / 2
+    phi = (turn + np.arange(_QUADRATURE) + 0.5) / _QUADRATURE * 2 * math.pi
     cos_h = np.sqrt((1 - u) / (1 + (alpha2 - 1) * u))
     cos_d = np.maximum(np.sqrt(1 - cos_f**2) * np.sqrt(1 - cos_h**2) * np.cos(phi) + cos_f * cos_h, 0)
     cos_o = np.maximum(2 * cos_d * cos_h - cos_f, 0)
-    shadow = cos_o * np.sqrt(cos_f**2 * (1 - alpha2) + alpha2) + cos_f * np.sqrt(cos_o**2 * (1 - alpha2) + alpha2)
+    hidden_f = np.sqrt(cos_f**2 * (1 - alpha2) + alpha2)
+    shadow = cos_o * hidden_f + cos_f * np.sqrt(cos_o**2 * (1 - alpha2) + alpha2)
     lobe = 2 * cos_o * cos_d / (shadow * cos_h)
+    visible = 2 * cos_d / ((cos_f + hidden_f) * cos_h) * (cos_o > 0)     # their density (Heitz 2018, Eq. 3) over D cos
     g = np.sqrt(cos_d**2 + 1.25)
     b = (cos_d * (g + cos_d) - 1) / (cos_d * (g - cos_d) + 1)
     rise = (0.5 * ((g - cos_d) / (g + cos_d)) ** 2 * (1 + b * b) - 0.04) / 0.96
-    table = np.stack([lobe.mean((2, 3)), (lobe * rise).mean((2, 3))], -1)
-    return (table if keeps_energy else table / table[..., :1]).astype(np.float32)
+    return np.stack([(2 * left * weight).mean((2, 3)) for weight in (lobe, lobe * rise, visible * rise)], -1).astype(np.float32)
+
+
+@inline_jit
+def _interpolated(table, cos_fixed, alpha, column):
+    x = min(max(cos_fixed * f32(GAIN_STEPS) - HALF, ZERO), f32(GAIN_STEPS - 1.001))
+    y = min(max(alpha * f32(GAIN_STEPS) - HALF, ZERO), f32(GAIN_STEPS - 1.001))
+    i, j = int(x), int(y)
+    s, t = x - f32(i), y - f32(j)
+    return ((ONE - s) * ((ONE - t) * table[i, j, column] + t * table[i, j + 1, column])
+            + s * ((ONE - t) * table[i + 1, j, column] + t * table[i + 1, j + 1, column]))
 
 
 @device_jit
 def lobe_albedos(table, cos_fixed, alpha):
     """(integral of the lobe without Fresnel, of Fresnel's rise alone), interpolated in `albedo_table()`."""
-    x = min(max(cos_fixed * f32(GAIN_STEPS) - HALF, ZERO), f32(GAIN_STEPS - 1.001))
-    y = min(max(alpha * f32(GAIN_STEPS) - HALF, ZERO), f32(GAIN_STEPS - 1.001))
-    i, j = int(x), int(y)
-    s, t = x - f32(i), y - f32(j)
-    a, b, c, d = (ONE - s) * (ONE - t), (ONE - s) * t, s * (ONE - t), s * t
-    return (a * table[i, j, 0] + b * table[i, j + 1, 0] + c * table[i + 1, j, 0] + d * table[i + 1, j + 1, 0],
-            a * table[i, j, 1] + b * table[i, j + 1, 1] + c * table[i + 1, j, 1] + d * table[i + 1, j + 1, 1])
+    return _interpolated(table, cos_fixed, alpha, 0), _interpolated(table, cos_fixed, alpha, 1)
+
+
+@device_jit
+def reflected_share(colour, cos_fixed, alpha, known_f0, keeps_energy, table):
+    """What a lobe reflects towards `fixed` over `colour`, what Cycles' Glossy Color says that it does.
+
+    That colour takes the mean of Fresnel's reflectance over the normals that `fixed` sees, whether or not what they reflect
+    gets out between the other microfacets: up to 5 % too much at roughness 0.5. And it leaves out what a lobe of single
+    scattering (`keeps_energy` 0) loses to them, 15 % at that roughness, 40 % at 0.8.
+    """
+    flat, rise = lobe_albedos(table, cos_fixed, alpha)
+    told = _interpolated(table, cos_fixed, alpha, 2)
+    f0 = known_f0 if known_f0 > ZERO else _solved_f0(colour, told)
+    return (f0 * flat + (ONE - f0) * rise) / max((f0 + (ONE - f0) * told) * (flat if keeps_energy else ONE), f32(1e-6))
 
 
 @functools.cache
-def mean_albedo_table(keeps_energy: bool = True) -> np.ndarray:
-    """(GAIN_STEPS, 2) float32: what `albedo_table` holds, averaged over all directions of `fixed` by their cosine."""
+def mean_albedo_table() -> np.ndarray:
+    """(GAIN_STEPS, 3) float32: what `albedo_table` holds, averaged over all directions of `fixed` by their cosine."""
     cosine = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
-    return (2 * (albedo_table(keeps_energy) * cosine[:, None, None]).mean(0)).astype(np.float32)
+    return (2 * (albedo_table() * cosine[:, None, None]).mean(0)).astype(np.float32)
 
 
 @device_jit
@@ -172,19 +195,27 @@ def matt_share(reflectance, cos_fixed, alpha, f0, albedos, means):
     return ONE + dielectric * ((ONE - min(mean, f32(0.9))) / (ONE - reflectance) - ONE)
 
 
+@inline_jit
+def _solved_f0(reflectance, rise):
+    """F0 of a lobe that reflects `reflectance`, Fresnel's rise being `rise`: reflectance = F0 + (1 - F0) rise.
+
+    The two terms are hard to tell apart, so what comes out like a dielectric is taken as one of index 1.5 (measured: closer
+    to Cycles than the solution); above an F0 of 0.2, which only metals have, it stands.
+    """
+    rise = min(rise, f32(0.9))
+    solved = min(max((reflectance - rise) / (ONE - rise), F0), ONE)
+    t = min(max((solved - f32(0.08)) / f32(0.12), ZERO), ONE)
+    return F0 + t * (solved - F0)
+
+
 @device_jit
 def fit_lobe(reflectance, cos_fixed, alpha, albedos, known=ZERO):
     """(F0, gain) of a lobe that reflects `reflectance` towards `fixed`; `albedos` is `albedo_table()`.
 
-    The gain is 1 / (hemispherical integral of `ggx_lobe`). F0 is `known` where that is above 0. Else the reflectance
-    has to tell it: with r the share of the lobe that Fresnel's rise takes, reflectance = F0 + (1 - F0) r. The two
-    terms are hard to tell apart, so what comes out like a dielectric is taken as one of index 1.5 (measured: closer to
-    Cycles than the solution); above an F0 of 0.2, which only metals have, it stands.
+    The gain is 1 / (hemispherical integral of `ggx_lobe`). F0 is `known` where that is above 0, else the reflectance has to
+    tell it.
     """
     flat, rise = lobe_albedos(albedos, cos_fixed, alpha)
-    r = min(rise / max(flat, f32(1e-3)), f32(0.9))
-    solved = min(max((reflectance - r) / (ONE - r), F0), ONE)
-    t = min(max((solved - f32(0.08)) / f32(0.12), ZERO), ONE)
-    f0 = known if known > ZERO else F0 + t * (solved - F0)
+    f0 = known if known > ZERO else _solved_f0(reflectance, rise / max(flat, f32(1e-3)))
     at_fixed = fresnel(min(max(cos_fixed, f32(0.02)), ONE), f0)
     return f0, at_fixed / max(f0 * flat + (ONE - f0) * rise, f32(0.02) * at_fixed)

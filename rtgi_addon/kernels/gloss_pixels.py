@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .brdf import lobe_albedos
-from .jit import borrowed, pixel_jit
+from .jit import pixel_jit
 from .reflect import WEIGHT
-from .screen import view_vector
-from .vec3 import ONE, ZERO, dot, f32, load_pixel
+from .vec3 import ONE, f32
 
 LEAST_SUM = f32(1e-6)       # of the weights of a pixel's rays
 
@@ -58,18 +56,12 @@ def on_lattice(step):
 
 
 @pixel_jit
-def _colour_pixels(begin, end, smooth, step, s, roughness, specular, albedos, bounce, around):
-    s, albedos = borrowed((s, albedos))
+def _colour_pixels(begin, end, smooth, step, specular, bounce, around):
     for i in range(begin, end):
         for j in range(step.shape[1]):
             if step[i, j] == 0:
                 continue
-            shown = ONE
-            if albedos.shape[0] > 0:
-                cosine = dot(load_pixel(s.normal_ws, i, j), view_vector(s, load_pixel(s.position_ws, i, j)))
-                flat, _ = lobe_albedos(albedos, cosine, roughness[i, j] * roughness[i, j])
-                shown = min(max(flat, ZERO), ONE)
-            shown /= max(smooth[i, j, WEIGHT], LEAST_SUM)
+            shown = ONE / max(smooth[i, j, WEIGHT], LEAST_SUM)
             for c in range(3):
                 colour = specular[i, j, c] * shown
                 bounce[i, j, c] = smooth[i, j, c] * colour
@@ -77,14 +69,11 @@ def _colour_pixels(begin, end, smooth, step, s, roughness, specular, albedos, bo
                     around[i, j, c] = smooth[i, j, 3 + c] * colour
 
 
-def colour_pixels(smooth, step, screen, roughness, specular, albedos, shines):
+def colour_pixels(smooth, step, specular, shines):
     """Two pictures (H, W, 3) float32 W/(m2 sr) from sums over the lobe (H, W, FILTERED): the bounce, and what shines itself.
 
     `specular` (H, W, 3) is what the whole lobe reflects; where `step` is 0 nothing is. The second is black without `shines`.
-    With the table `albedos` (see `brdf.albedo_table`; else empty) a lobe of single scattering reflects that share of
-    `specular`: Cycles' pass does not tell what microfacets hide from each other, 12 % at roughness 0.5 and grazing view.
     """
     bounce, around = np.zeros(specular.shape, np.float32), np.zeros(specular.shape, np.float32)
-    _colour_pixels(step.shape[0], smooth, step, screen, roughness, specular, albedos, bounce,
-                   around if shines else around[:0])
+    _colour_pixels(step.shape[0], smooth, step, specular, bounce, around if shines else around[:0])
     return bounce, around

@@ -207,8 +207,8 @@ def _share(is_seen, weight, front):
     return max(weight, LEAST_SHARE) * min(ONE, RAMP * front) if is_seen else ZERO
 
 
-def inject(flux: np.ndarray, n: int, table: np.ndarray, grid: LightGrid, bvh: Bvh, offset_m: float,
-           keeps_energy: bool = True) -> None:
+def inject(flux: np.ndarray, n: int, table: np.ndarray, grid: LightGrid, bvh: Bvh,
+           offset_m: float) -> None:
     """In place: add the light of a texel table (17, N, rows as in `clusters`).
 
     Light leaves a texel where it lies and is handed to the next plane of cell centres that it meets, bilinearly among those
@@ -221,7 +221,7 @@ def inject(flux: np.ndarray, n: int, table: np.ndarray, grid: LightGrid, bvh: Bv
     solid_angle = solid_angle.astype(np.float32)
     diffuse, glossy = np.empty((number, 6, n * n), np.float32), np.empty((number, 6, n * n), np.float32)
     corner, seen = np.empty((number, 3), np.int64), np.empty((number, 64), np.bool_)
-    _prepare(table.shape[1], table, grid, bvh, f32(offset_m), directions_ws(n), solid_angle, albedo_table(keeps_energy),
+    _prepare(table.shape[1], table, grid, bvh, f32(offset_m), directions_ws(n), solid_angle, albedo_table(),
              f32(math.pi / (4 * n)), diffuse, glossy, corner, seen)
     _inject(6, flux, table, grid, local.astype(np.float32), diffuse, glossy, corner, seen)
 

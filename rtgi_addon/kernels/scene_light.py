@@ -57,9 +57,10 @@ class Surroundings(NamedTuple):
     """The scene beyond the picture.
 
     albedo (T, 3, 3) and emission (T, 3) of the triangles, material (T,) int32; normals (T, 3, 3) int16, see
-    `core.frame.Geometry`, without a length where all triangles are flat; substance (M, 5) float32 of the materials:
-    colour of the glossy lobe, roughness, F0 (see `passes.surroundings.substance_table`). sky and blurred_sky (h, w, 3): the
-    world's radiance; lights_up: whether world or emissive surfaces light anything; shines: what rays may be aimed at.
+    `core.frame.Geometry`, without a length where all triangles are flat; substance (M, 6) float32 of the materials: colour of
+    the glossy lobe, roughness, F0, whether it keeps energy (see `passes.surroundings.substance_table`). sky and blurred_sky
+    (h, w, 3): the world's radiance; lights_up: whether world or emissive surfaces light anything; shines: what rays may be
+    aimed at.
     """
 
     albedo: np.ndarray
@@ -75,14 +76,14 @@ class Surroundings(NamedTuple):
 
 @inline_jit
 def colours_at(around, albedos, t, a, b, cosine):
-    """(albedo, Glossy Color towards a direction at `cosine` to the normal, roughness, F0) of triangle t at (a, b) in it."""
+    """(albedo, glossy reflectance towards a direction at `cosine` to the normal, roughness, F0) of triangle t at (a, b)."""
     c, at = ONE - a - b, around.albedo[t]
     albedo = Vec3(c * at[0, 0] + a * at[1, 0] + b * at[2, 0], c * at[0, 1] + a * at[1, 1] + b * at[2, 1],
                   c * at[0, 2] + a * at[1, 2] + b * at[2, 2])
     substance = around.substance[around.material[t]]
     flat, rise = lobe_albedos(albedos, cosine, substance[3] * substance[3])
     rise = min(rise / max(flat, f32(1e-3)), f32(0.9))
-    reflectance = substance[4] + (ONE - substance[4]) * rise
+    reflectance = (substance[4] + (ONE - substance[4]) * rise) * (ONE if substance[5] > ZERO else flat)
     return albedo, scaled(Vec3(substance[0], substance[1], substance[2]), reflectance), substance[3], substance[4]
 
 

@@ -97,7 +97,7 @@ def _mirrors_of(frame: Frame, view: LightView, flux: np.ndarray, bvh: Bvh) -> Mi
     g, is_sharp = view.gbuffer, _is_sharp(view)
     mirrors = Mirrors(g.position_ws, g.normal_ws, g.specular, g.roughness, g.f0, flux.astype(np.float32), _owners(is_sharp),
                       *_corner_rays(view.camera), np.full(g.shape, -1, np.int32), frame.geometry.material,
-                      albedo_table(frame.keeps_energy))
+                      albedo_table())
     texel = np.flatnonzero(is_sharp)
     find_materials(len(texel), texel, mirrors, bvh, f32(LEAST_REACH * frame.ray_offset_m))
     return mirrors

@@ -244,7 +244,7 @@ def _pack_pixels(frame: Frame) -> _Pixels:
     pixels = _Pixels(position, normal, specular, roughness, np.empty(len(position), np.float32),
                      g.f0.ravel().astype(np.float32), np.ones(len(position), np.float32), np.float32([eye]),
                      f32(np.abs(camera.position_ws).max()), is_parallel, width)
-    _fit_lobes(len(position), pixels, albedo_table(frame.keeps_energy))
+    _fit_lobes(len(position), pixels, albedo_table())
     return pixels
 
 

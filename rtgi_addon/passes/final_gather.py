@@ -65,7 +65,7 @@ def compute_final_gather(frame: Frame, params: FinalGatherParams, context: Conte
     around = surroundings_of(frame, geometry)
     nothing = np.zeros(g.shape, np.float32)
     matt = np.full_like(g.roughness, RECEIVER)
-    gloss = Gloss(leaving, black, nothing, black, matt, nothing, albedo_table(frame.keeps_energy))
+    gloss = Gloss(leaving, black, nothing, black, matt, nothing, albedo_table())
     rules = Rules(0, 1.0, True, True, False, f32(0), f32(frame.ray_offset_m), f32(reach_m))
     lights = pack_lights((), reach_m)
 

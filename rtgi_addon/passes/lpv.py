@@ -59,7 +59,7 @@ def _travelled(frame: Frame, params: LpvParams, table: np.ndarray, bvh: Bvh, off
         context.checkpoint("Light into the grid", 0.3 * level)
         grid = grid_over(frame, box, params.resolution, params.blockers)
         flux = ordinates.empty_flux(n, grid.links.shape[1:])
-        ordinates.inject(flux, n, merge_texels(table, grid), grid, bvh, offset_m, frame.keeps_energy)
+        ordinates.inject(flux, n, merge_texels(table, grid), grid, bvh, offset_m)
         kept = kept or float(flux.sum(dtype=np.float64))
         context.checkpoint("Light through the grid", 0.3 * level + 0.2)
         if volumes:

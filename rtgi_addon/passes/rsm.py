@@ -141,7 +141,7 @@ def texels_and_radii(frame: Frame, fluxes: Sequence[np.ndarray], use_glossy: boo
         count, is_sun = np.count_nonzero(reflects, axis=1), light.kind is LightKind.SUN
         fill_texels(len(reflects), table, offset + np.cumsum(count) - count, reflects, g.position_ws, g.normal_ws, faces_ws,
                     g.albedo, g.specular, g.roughness, g.f0, flux, origin_ws, vector(-light.direction_ws),
-                    is_sun, albedo_table(frame.keeps_energy), mean_albedo_table(frame.keeps_energy), use_glossy,
+                    is_sun, albedo_table(), mean_albedo_table(), use_glossy,
                     f32(sharpest), across, radius_m)
         # as in Cycles: what a lamp's influence takes from a lobe is missing at every surface that it lights
         mine = slice(offset, offset + int(count.sum()))

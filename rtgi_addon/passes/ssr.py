@@ -4,7 +4,7 @@ The glossy bounce that leaves a pixel towards the viewer is
 
     L = F * integral of f(w) L_hit(w) dw,  integral of f(w) dw = 1
 
-with f the GGX lobe around the mirror direction, F the reflectance that Cycles' Glossy Color pass tells (Fresnel, colour and
+with f the GGX lobe around the mirror direction, F the reflectance `core.frame.GBuffer.specular` (Fresnel, colour and
 multiple scattering are in it, so nothing else is multiplied), and L_hit the light of the lamps, of the world and of emissive
 surfaces that the hit surface sends back. Rays are drawn from the lobe (`kernels.brdf.sample_lobe`), followed through the
 picture (`kernels.screen_rays`) and, where it cannot answer, through the triangles (`kernels.scene_light`).
@@ -31,7 +31,6 @@ from ..kernels.gloss_pixels import LEAST_SUM, colour_pixels, on_lattice, sort_pi
 from ..kernels.lit_hits import Gloss
 from ..kernels.reflect import ASK, KNOWN, NEARNESS, SHARE, WEIGHT, Rules, collect_rays, draw_rays, follow_rays, make_rays
 from ..kernels.scene_light import aim_lobes, ask_scene
-from ..kernels.screen import Screen
 from ..kernels.shines import has_aim
 from ..kernels.vec3 import f32
 from .base import Context, PassResult, Technique, Transport
@@ -83,7 +82,7 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
 
     Notes
     -----
-    Holds exactly: even light all around comes back as Glossy Color times its radiance; linear in light; zero for no light;
+    Holds exactly: even light all around comes back as `specular` times its radiance; linear in light; zero for no light;
     HIERARCHY and DDA give the same picture; the same bits on any number of threads.
     Ignores bounces after the first, refraction, and what is invisible to the camera but not to reflections.
     """
@@ -108,17 +107,16 @@ def compute_ssr(frame: Frame, params: SsrParams, context: Context, seed: int = 0
         smooth[weak] = smooth_reflections(tracer.results, blur, weak, *surface, step, traced, FILTER_RADIUS)[weak]
     weak_share = float(np.count_nonzero(weak) / np.count_nonzero(step))
     diagnostics = tracer.diagnostics | {"weak_share": weak_share}
-    return _coloured(frame, smooth, step, tracer.screen, fallback == "CONES", context, diagnostics)
+    return _coloured(frame, smooth, step, fallback == "CONES", context, diagnostics)
 
 
-def _coloured(frame: Frame, smooth: np.ndarray, step: np.ndarray, screen: Screen, adds_earlier: bool, context: Context,
+def _coloured(frame: Frame, smooth: np.ndarray, step: np.ndarray, adds_earlier: bool, context: Context,
               diagnostics: dict[str, float]) -> PassResult:
     """The result from means over the lobe (H, W, FILTERED); what is not known of it is filled with earlier glossy light."""
     g = frame.gbuffer
-    hidden = albedo_table(True)[:0 if frame.keeps_energy else None]
     shines = not frame.world.is_black or g.emission.any() or (
         frame.geometry is not None and frame.geometry.emission.any())
-    bounce, around = colour_pixels(smooth, step, screen, g.roughness, g.specular, hidden, shines)
+    bounce, around = colour_pixels(smooth, step, g.specular, shines)
     light = dict(zip(_GLOSSY, (bounce, around), strict=True))
     earlier = [t for t in light if adds_earlier and t in context.light]
     for transport in earlier:
@@ -161,7 +159,7 @@ class _Tracer:
         lit = context.light.get(Transport.DIRECT_DIFFUSE)
         irradiance = np.zeros(g.shape, np.float32) if lit is None else mean_of(lit)
         gloss = Gloss(leave_surfaces(frame, context, _DIRECT), shining_pixels(frame), irradiance, g.specular, g.roughness,
-                      g.f0, albedo_table(frame.keeps_energy))
+                      g.f0, albedo_table())
         bvh = context.bvh(frame.geometry) if has_rays else build_bvh(np.zeros((0, 3, 3), np.float32))
         reach_m = reach_out_m(frame, bvh)
         fade_px = params.edge_fade * min(g.shape)

@@ -50,25 +50,22 @@ def shining_pixels(frame: Frame) -> np.ndarray:
 
 
 def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
-    """(M, 5) float32 of materials at hits: colour, roughness, reflectance F0 at normal incidence.
+    """(M, 6) float32 of materials at hits: colour, roughness, reflectance F0 at normal incidence, whether energy is kept.
 
-    A material's `specular` is its mean over all directions. Towards one direction it reflects colour (F0 + (1 - F0) r),
-    with r the rise at that angle, and the colour is such that the mean comes out. Where a material does not know its F0,
-    bright ones are metals, see `brdf.fit_lobe`.
+    A material's `specular` is the mean of its Glossy Color over all directions, colour (F0 + (1 - F0) r) with r the mean of
+    the rise that Glossy Color tells; towards one direction the lobe reflects as much with its own rise at that angle.
+    Where a material does not know its F0, bright ones are metals, see `brdf.fit_lobe`.
     """
-    table = albedo_table(True).astype(np.float64)
-    rise = table[..., 1] / np.maximum(table[..., 0], 1e-3)
-    cosine = (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
-    mean_rise = 2 * (rise * cosine[:, None]).mean(0)
+    mean_rise, alphas = mean_albedo_table()[:, 2], (np.arange(GAIN_STEPS) + 0.5) / GAIN_STEPS
     rows = []
     for material in materials:
         # colours count what is not there of a surface as black, and a hit is on what is there
         specular = np.array(material.specular) / max(material.alpha, 1e-3)
         brightest = specular.max()
         f0 = material.f0 or 0.04 + min(max((brightest - 0.08) / 0.12, 0), 1) * (brightest - 0.04)
-        mean = np.interp(material.roughness**2, cosine, mean_rise)
-        rows.append([*(specular / (f0 + (1 - f0) * mean)), material.roughness, f0])
-    return np.array(rows, np.float32).reshape(-1, 5)
+        mean = np.interp(material.roughness**2, alphas, mean_rise)
+        rows.append([*(specular / (f0 + (1 - f0) * mean)), material.roughness, f0, material.keeps_energy])
+    return np.array(rows, np.float32).reshape(-1, 6)
 
 
 def surroundings_of(frame: Frame, geometry: Geometry) -> Surroundings:
@@ -99,8 +96,8 @@ def seen_by_rays(origin_ws: np.ndarray, direction_ws: np.ndarray, frame: Frame, 
     origin, direction = (np.ascontiguousarray(v, np.float32).reshape(-1, 3) for v in (origin_ws, direction_ws))
     found = (values.reshape(depth.size, *values.shape[2:])
              for values in (depth, position, normal, albedo, specular, roughness, f0))
-    see_triangles(depth.size, origin, direction, bvh, around, albedo_table(frame.keeps_energy),
-                  mean_albedo_table(frame.keeps_energy), np.float32(reach[0]), np.float32(reach[1]), *found)
+    see_triangles(depth.size, origin, direction, bvh, around, albedo_table(),
+                  mean_albedo_table(), np.float32(reach[0]), np.float32(reach[1]), *found)
     return GBuffer(depth, position, normal, albedo, specular, roughness, emission, f0)
 
 
