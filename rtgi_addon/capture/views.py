@@ -20,8 +20,6 @@ from ..core.frame import GBuffer
 from ..core.radiometry import mean_of
 from ..core.transforms import Camera, Projection, ViewFormat
 from ..errors import CaptureError, InputError
-from ..kernels.brdf import albedo_table
-from ..kernels.glossy_colour import correct_colours
 from .lights import rigid
 from .materials import MaterialTable
 from .needs import ROUGHNESS_PASS
@@ -231,10 +229,7 @@ class ViewCapture:
                   self._of_materials(clean, "f0", 0.0))
         gbuffer = GBuffer(*(np.array(a, np.float32, order="C") for a in arrays))
         if specular.any():
-            keeps_energy, eye = self._of_materials(clean, "keeps_energy", 1.0), camera.position_ws.astype(np.float32)
-            correct_colours(gbuffer.shape[0], gbuffer.specular, gbuffer.normal_ws, gbuffer.position_ws, gbuffer.roughness,
-                            gbuffer.f0, keeps_energy, eye, camera.world_from_view[:3, 2].astype(np.float32),
-                            camera.projection is Projection.ORTHOGRAPHIC, albedo_table())
+            _correct_colours(gbuffer, self._of_materials(clean, "keeps_energy", 1.0), camera)
         return gbuffer
 
     def _roughness(self, passes: dict[str, np.ndarray], albedo: np.ndarray, specular: np.ndarray) -> np.ndarray:
@@ -256,6 +251,16 @@ class ViewCapture:
             return np.full(passes["Normal"].shape[:2], nothing, np.float32)
         numbers = getattr(self.materials, name)
         return numbers[np.clip(index[..., 0].astype(np.int32), 0, len(numbers) - 1)]
+
+
+def _correct_colours(gbuffer: GBuffer, keeps_energy: np.ndarray, camera: Camera) -> None:
+    """Turn the G-buffer's `specular` from Glossy Color into what the lobes reflect, in place."""
+    from ..kernels.brdf import albedo_table             # here: whoever only switches the add-on on needs no numba
+    from ..kernels.glossy_colour import correct_colours
+
+    correct_colours(gbuffer.shape[0], gbuffer.specular, gbuffer.normal_ws, gbuffer.position_ws, gbuffer.roughness, gbuffer.f0,
+                    keeps_energy, camera.position_ws.astype(np.float32), camera.world_from_view[:3, 2].astype(np.float32),
+                    camera.projection is Projection.ORTHOGRAPHIC, albedo_table())
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

@@ -128,7 +128,8 @@ def albedo_table() -> np.ndarray:
     g = np.sqrt(cos_d**2 + 1.25)
     b = (cos_d * (g + cos_d) - 1) / (cos_d * (g - cos_d) + 1)
     rise = (0.5 * ((g - cos_d) / (g + cos_d)) ** 2 * (1 + b * b) - 0.04) / 0.96
-    return np.stack([(2 * left * weight).mean((2, 3)) for weight in (lobe, lobe * rise, visible * rise)], -1).astype(np.float32)
+    table = [(2 * left * weight).mean((2, 3)) for weight in (lobe, lobe * rise, visible * rise)]
+    return np.stack(table, -1).astype(np.float32)
 
 
 @inline_jit

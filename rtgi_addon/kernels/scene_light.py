@@ -57,10 +57,9 @@ class Surroundings(NamedTuple):
     """The scene beyond the picture.
 
     albedo (T, 3, 3) and emission (T, 3) of the triangles, material (T,) int32; normals (T, 3, 3) int16, see
-    `core.frame.Geometry`, without a length where all triangles are flat; substance (M, 6) float32 of the materials: colour of
-    the glossy lobe, roughness, F0, whether it keeps energy (see `passes.surroundings.substance_table`). sky and blurred_sky
-    (h, w, 3): the world's radiance; lights_up: whether world or emissive surfaces light anything; shines: what rays may be
-    aimed at.
+    `core.frame.Geometry`, without a length where all triangles are flat; substance (M, 6) float32 of the materials: see
+    `passes.surroundings.substance_table`. sky and blurred_sky (h, w, 3): the world's radiance; lights_up: whether world or
+    emissive surfaces light anything; shines: what rays may be aimed at.
     """
 
     albedo: np.ndarray
