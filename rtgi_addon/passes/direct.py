@@ -52,6 +52,7 @@ MIDDLE_SHARE = f32(0.3)     # for less half as many rays do
 LIKE_NORMAL = f32(0.9)      # cosine between the normals, at least
 LIKE_PLANE = f32(0.1)       # distance from the tangent plane over distance, at most
 EVEN_SPREAD = f32(0.2)      # and their mean will do in half shadow where they lie no farther apart than this
+SMALL_LAMP = f32(0.05)      # half size over distance of a lamp whose samples need not all be asked where the first agree
 UNKNOWN = f32(-1)
 SHARE_OF = np.float32([UNKNOWN, 1, 0, UNKNOWN])     # by the map's answer: none, LIT, DARK, ASK
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -443,9 +444,12 @@ def _shares_beside(q, pixels, shares):
 
 @inline_jit
 def _still_holds(q, lamp, starts, bvh, stack, p, n, share, first, turn):
-    """Do two rays to opposite points of the lamp's rim get as much light through as `share`? `first`, 0 or 1, says which."""
+    """Does as much light as `share` get through from opposite points of the lamp's rim, or from one of them if it is small?
+
+    `first`, 0 or 1, says which they are.
+    """
     across = 3 if lamp.kind == lamps.RECTANGLE_LAMP else 2
-    for i in range(2 if lamps.apparent_size(lamp, p) > ZERO else 1):
+    for i in range(2 if lamps.apparent_size(lamp, p) > SMALL_LAMP else 1):
         x, y = lamps.rim_point(lamp, first ^ (across * i), turn)
         d, _ = lamps.lamp_at(lamp, p, x, y)
         if _seen(q, starts, bvh, stack, p, n, d) != share:
@@ -454,8 +458,11 @@ def _still_holds(q, lamp, starts, bvh, stack, p, n, share, first, turn):
 
 
 @inline_jit
-def _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, f0, rays, shift_u, shift_v):
-    """(share of the irradiance, share of the glossy light) that arrives at p, each ray in proportion to what it carries."""
+def _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, f0, rays, is_exact, shift_u, shift_v):
+    """(share of the irradiance, share of the glossy light) that arrives at p, each ray in proportion to what it carries.
+
+    Where half of the rays to a small lamp agree the others are not asked, unless it `is_exact`.
+    """
     size = lamps.apparent_size(lamp, p)
     if size == ZERO:
         d, _ = lamps.lamp_at(lamp, p, ZERO, ZERO)
@@ -463,7 +470,10 @@ def _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, f0, rays, shi
         return share, share
     alpha = max(max(alpha, f32(0.3) * min(size, ONE)), lamps.LEAST_ALPHA)
     diffuse_all, diffuse_seen, glossy_all, glossy_seen = ZERO, ZERO, ZERO, ZERO
+    half = rays if is_exact or size > SMALL_LAMP else (rays + 1) // 2
     for i in range(rays):
+        if i == half and (diffuse_seen == ZERO or diffuse_seen == diffuse_all):
+            break
         u, v = r2_sequence(i, shift_u, shift_v)
         x, y, share = lamps.lamp_place(lamp, p, u, v)
         d, weight = lamps.lamp_at(lamp, p, x, y)
@@ -479,7 +489,7 @@ def _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, f0, rays, shi
 
 
 @inline_jit
-def _own_shares(q, lamp, pixels, salt, shadow_map, starts, bvh, stack, rays, is_minor, expected):
+def _own_shares(q, lamp, pixels, salt, shadow_map, starts, bvh, stack, rays, is_exact, is_minor, expected):
     """(share of the irradiance, share of the glossy light) that a second look at the map, or rays, find at pixel q."""
     p, n = load(pixels.position, q), load(pixels.normal, q)
     viewer, distance = _viewer(pixels, p)
@@ -500,7 +510,8 @@ def _own_shares(q, lamp, pixels, salt, shadow_map, starts, bvh, stack, rays, is_
     if expected >= ZERO and _still_holds(q, lamp, starts, bvh, stack, p, n, expected, first, shift_u):
         return expected, expected
     alpha = pixels.roughness[q] * pixels.roughness[q]
-    return _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, pixels.f0[q], rays, shift_u, shift_v)
+    return _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, pixels.f0[q], rays, is_exact, shift_u,
+                        shift_v)
 
 
 @inline_jit
@@ -514,7 +525,8 @@ def _trace_at_pixel(k, q, lamp, colours, pixels, salt, shadow_map, bare, starts,
     # four of one kind may hide a thin shadow between them; a lamp that gives little is not worth the look
     if not (low > ZERO and high < ONE and high - low <= EVEN_SPREAD or is_minor and low == high):
         expected = share if low == high else -ONE
-        share, glossy_share = _own_shares(q, lamp, pixels, salt, shadow_map, starts, bvh, stack, rays, is_minor, expected)
+        share, glossy_share = _own_shares(q, lamp, pixels, salt, shadow_map, starts, bvh, stack, rays, is_exact, is_minor,
+                                          expected)
     shares.diffuse[q], shares.glossy[q] = share, glossy_share
     _add(q, bare.diffuse[k] * share, bare.glossy[k] * glossy_share, colours, pixels, out)
 
