@@ -203,6 +203,7 @@ class RTGIEngine(bpy.types.RenderEngine):
     def _render_with(self, context, depsgraph):
         global _last_result
         from . import budget, pipeline, planner
+        from .kernels.jit import kernel_session
 
         scene = depsgraph.scene
         settings, stages = _settings_of(scene), pipeline.Stages()
@@ -214,8 +215,9 @@ class RTGIEngine(bpy.types.RenderEngine):
         choice = budget.within_budget(plan, settings, stages.total_ms, speed)
         result = pipeline.run(frame, choice.plan, choice.settings, context, stages, scene.render.film_transparent)
         context.checkpoint("Write result", 1.0)
-        result.combined[..., :3] *= scene.cycles.film_exposure
-        with stages("write"):
+        with stages("write"), kernel_session(settings.threads):
+            if scene.cycles.film_exposure != 1:
+                result.combined[..., :3] *= scene.cycles.film_exposure
             self._write(depsgraph, frame, result)
             _last_result = result
             _publish_image()
@@ -308,18 +310,18 @@ class RTGIEngine(bpy.types.RenderEngine):
 
     def _write(self, depsgraph, frame, result):
         """Combined, our passes and every pass that the user asked for into the render result."""
-        layer_name = depsgraph.view_layer.name
+        from .output import Output
+
         height, width = frame.gbuffer.shape
-        values = _output_values(frame, result, depsgraph.view_layer)
-        index = pass_name("Material Index")
-        if index in self._raw and read_needs(depsgraph.scene).material_index:
+        raw, index = dict(self._raw), pass_name("Material Index")
+        if index in raw and read_needs(depsgraph.scene).material_index:
             numbers = self._materials.pass_index
-            values[index] = numbers[np.clip(self._raw[index].astype(np.int32), 0, len(numbers) - 1)]
-        target = self.begin_result(0, 0, width, height, layer=layer_name)
+            raw[index] = numbers[np.clip(raw[index].astype(np.int32), 0, len(numbers) - 1)]
+        output = Output(frame, result, raw)
+        target = self.begin_result(0, 0, width, height, layer=depsgraph.view_layer.name)
         for render_pass in target.layers[0].passes:
-            array = values.get(render_pass.name, self._raw.get(render_pass.name))
-            if array is not None:
-                flat = np.ascontiguousarray(array[::-1], np.float32).ravel()
+            flat = output.flat(render_pass.name)
+            if flat is not None:
                 render_pass.rect.foreach_set(flat)
         self.end_result(target)
 
@@ -327,40 +329,6 @@ class RTGIEngine(bpy.types.RenderEngine):
         from cycles import engine as cycles_engine
 
         cycles_engine.render_frame_finish(self)
-
-
-def _output_values(frame, result, layer):
-    """{pass name: (H, W, C) float32, row 0 at the top} of everything that RTGI itself fills for a view layer."""
-    from .passes.base import Transport as T
-
-    light, black = result.transports, np.zeros_like(frame.gbuffer.albedo)
-
-    def radiosity(*transports):
-        present = [light[transport] for transport in transports if transport in light]
-        return sum(present[1:], start=present[0]) / np.float32(np.pi) if present else black
-
-    direct, world = radiosity(T.DIRECT_DIFFUSE, T.EMISSION_DIFFUSE), radiosity(T.WORLD_DIFFUSE)
-    bounce = radiosity(T.BOUNCE_DIFFUSE, T.NEAR_DIFFUSE, T.WORLD_BOUNCE_DIFFUSE)
-    albedo = frame.gbuffer.albedo
-    direct_glossy, world_glossy = light.get(T.DIRECT_GLOSSY, black), light.get(T.WORLD_GLOSSY, black)
-    bounce_glossy = light.get(T.BOUNCE_GLOSSY, black)
-    values = {
-        "Combined": result.combined,
-        "RTGI Direct": direct * albedo + direct_glossy,
-        "RTGI World": world * albedo + world_glossy,
-        "RTGI Diffuse Bounce": bounce * albedo,
-        "RTGI Glossy Bounce": bounce_glossy,
-        "RTGI Visibility": result.visibility[..., None],
-        pass_name("Diffuse Direct"): direct + world,
-        pass_name("Diffuse Indirect"): bounce,
-    }
-    # without their colour, as Cycles gives them: a compositor multiplies it back
-    for wanted, name, radiance in ((layer.use_pass_glossy_direct, "Glossy Direct", direct_glossy + world_glossy),
-                                   (layer.use_pass_glossy_indirect, "Glossy Indirect", bounce_glossy)):
-        if wanted:
-            colour = frame.gbuffer.specular
-            values[pass_name(name)] = np.divide(radiance, colour, out=np.zeros_like(radiance), where=colour > 0)
-    return values
 
 
 def _view_pixels(result):

@@ -56,10 +56,13 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
         "numpy", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.errors", "rtgi_addon.kernels",
         "rtgi_addon.light_views"},
     "imageio": BLENDER | {"numpy", "rtgi_addon.core", "rtgi_addon.errors"},
+    "output": frozenset({
+        "numpy", "rtgi_addon.capture.versions", "rtgi_addon.core", "rtgi_addon.kernels", "rtgi_addon.passes",
+        "rtgi_addon.pipeline"}),
     "engine": BLENDER | {
         "numpy", "rtgi_addon.budget", "rtgi_addon.capture", "rtgi_addon.core", "rtgi_addon.emitter_lamps",
-        "rtgi_addon.errors", "rtgi_addon.kernels.jit", "rtgi_addon.light_views", "rtgi_addon.passes", "rtgi_addon.pipeline",
-        "rtgi_addon.planner", "rtgi_addon.ui.props"},
+        "rtgi_addon.errors", "rtgi_addon.kernels.jit", "rtgi_addon.light_views", "rtgi_addon.output", "rtgi_addon.passes",
+        "rtgi_addon.pipeline", "rtgi_addon.planner", "rtgi_addon.ui.props"},
     "ui": BLENDER | {"numpy", "rtgi_addon"},
     "cli": BLENDER | {"numpy", "rtgi_addon"},
     "doctor": BLENDER | {"numpy", "numba", "rtgi_addon"},

@@ -255,11 +255,12 @@ class ViewCapture:
 
 def _correct_colours(gbuffer: GBuffer, keeps_energy: np.ndarray, camera: Camera) -> None:
     """Turn the G-buffer's `specular` from Glossy Color into what the lobes reflect, in place."""
-    from ..kernels.brdf import albedo_table             # here: whoever only switches the add-on on needs no numba
+    # here: whoever only switches the add-on on needs no numba
+    from ..kernels.brdf import albedo_table
     from ..kernels.glossy_colour import correct_colours
 
-    correct_colours(gbuffer.shape[0], gbuffer.specular, gbuffer.normal_ws, gbuffer.position_ws, gbuffer.roughness, gbuffer.f0,
-                    keeps_energy, camera.position_ws.astype(np.float32), camera.world_from_view[:3, 2].astype(np.float32),
+    g, eye, backwards = gbuffer, camera.position_ws.astype(np.float32), camera.world_from_view[:3, 2].astype(np.float32)
+    correct_colours(len(g.specular), g.specular, g.normal_ws, g.position_ws, g.roughness, g.f0, keeps_energy, eye, backwards,
                     camera.projection is Projection.ORTHOGRAPHIC, albedo_table())
 
 

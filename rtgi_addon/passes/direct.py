@@ -472,7 +472,7 @@ def _seen_shares(q, lamp, starts, bvh, stack, p, n, viewer, alpha, f0, rays, is_
     diffuse_all, diffuse_seen, glossy_all, glossy_seen = ZERO, ZERO, ZERO, ZERO
     half = rays if is_exact or size > SMALL_LAMP else (rays + 1) // 2
     for i in range(rays):
-        if i == half and (diffuse_seen == ZERO or diffuse_seen == diffuse_all):
+        if i == half and not ZERO < diffuse_seen < diffuse_all:
             break
         u, v = r2_sequence(i, shift_u, shift_v)
         x, y, share = lamps.lamp_place(lamp, p, u, v)
