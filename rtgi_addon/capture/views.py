@@ -225,9 +225,10 @@ class ViewCapture:
             emission[nothing] = world[nothing]
         if world[seen].any():
             emission = emission + _seen_through(world, depth)
+        specular = np.array(specular, np.float32, order="C")            # a copy: the compositor gets the pass as it is
         arrays = (depth, camera.positions_ws(depth), normal, albedo, specular, roughness, emission,
                   self._of_materials(clean, "f0", 0.0))
-        gbuffer = GBuffer(*(np.array(a, np.float32, order="C") for a in arrays))
+        gbuffer = GBuffer(*(np.ascontiguousarray(a, np.float32) for a in arrays))
         if specular.any():
             _correct_colours(gbuffer, self._of_materials(clean, "keeps_energy", 1.0), camera)
         return gbuffer
