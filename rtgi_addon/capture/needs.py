@@ -93,10 +93,18 @@ def _may_differ(materials: Iterable[bpy.types.Material]) -> bool:
     return any(lobe != (1.5, 0.5) for m in materials if node_tree(m) for lobe in _lobes(node_tree(m)))
 
 
+def _may_let_through(material: bpy.types.Material) -> bool:
+    tree = node_tree(material)
+    return any(node.type in {"GROUP", "BSDF_TRANSPARENT"} or (
+        node.type == "BSDF_PRINCIPLED" and (node.inputs["Alpha"].is_linked or node.inputs["Alpha"].default_value < 1))
+        for node in (tree.nodes if tree else ()))
+
+
 def read_needs(scene: bpy.types.Scene) -> Needs:
     """Passes beyond depth, normal and diffuse colour that `scene` may need; asking for one too many costs only time."""
     materials = {slot.material for source in scene.objects for slot in source.material_slots if slot.material}
     instanced = any(source.instance_type == "COLLECTION" for source in scene.objects)
-    emission = any(map(_may_emit, bpy.data.materials if instanced else materials))
-    return Needs(glossy=True, emission=emission, environment=_may_shine(scene.world),
-                 material_index=not HAS_ROUGHNESS_PASS or _may_differ(bpy.data.materials if instanced else materials))
+    used = bpy.data.materials if instanced else materials
+    # the roughness pass adds up what lies behind each other in surfaces that let light through
+    index = not HAS_ROUGHNESS_PASS or _may_differ(used) or any(map(_may_let_through, used))
+    return Needs(glossy=True, emission=any(map(_may_emit, used)), environment=_may_shine(scene.world), material_index=index)

@@ -33,6 +33,7 @@ _SENSOR_M = 36.0            # any width serves: only its ratio to the focal leng
 OWN_PASSES = "RTGI "          # how the names of the passes begin that RTGI fills itself
 _VEIL_PX = 2                # pixels around one that tell what it lets through, each way
 _VEIL_DEPTH = 0.02          # relative difference of depth up to which they show the same surface
+_MOST_ROUGHNESS = 1.001     # of one surface, and rounding
 _NOTHING_M = 0.99e10        # Cycles writes 1e10 where a ray meets nothing
 
 
@@ -237,13 +238,15 @@ class ViewCapture:
         """(H, W) perceptual roughness.
 
         Blender 5.2's denoising pass is the mean over the lobes weighted by their albedo, with the diffuse lobe as 1:
-        R = (d + g r) / (d + g) gives r. Before that the material's own number serves.
+        R = (d + g r) / (d + g) gives r. Before that the material's own number serves, and where R is above 1: it is the sum
+        over all surfaces that a ray has met, if those before the last let part of the light through.
         """
-        if ROUGHNESS_PASS in passes:
-            d, g = mean_of(albedo), mean_of(specular)
-            rough = (passes[ROUGHNESS_PASS][..., 0] * (d + g) - d) / np.maximum(g, 1e-4)
-            return np.where(g > 1e-4, np.clip(rough, 0, 1), 1.0)
-        return self._of_materials(passes, "roughness", 1.0)
+        if ROUGHNESS_PASS not in passes:
+            return self._of_materials(passes, "roughness", 1.0)
+        mean, d, g = passes[ROUGHNESS_PASS][..., 0], mean_of(albedo), mean_of(specular)
+        rough = np.where(g > 1e-4, np.clip((mean * (d + g) - d) / np.maximum(g, 1e-4), 0, 1), 1.0)
+        is_sum = mean > _MOST_ROUGHNESS
+        return np.where(is_sum, self._of_materials(passes, "roughness", 1.0), rough) if is_sum.any() else rough
 
     def _of_materials(self, passes: dict[str, np.ndarray], name: str, nothing: float) -> np.ndarray:
         """(H, W) of the table's numbers `name` by each pixel's material; `nothing` where no pass tells it."""

@@ -164,6 +164,27 @@ def test_cast_view_has_the_colours_of_a_cycles_view(bpy_session, small_scene, ca
     assert np.abs(cast.roughness - 0.3)[close].max() < 1e-6
 
 
+def test_behind_veils_roughness_is_that_of_one_surface(bpy_session, small_scene, captured):
+    from mathutils import Matrix
+
+    material = bpy_session.data.materials.new("Veil")
+    material.use_nodes = True
+    inputs = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED").inputs
+    inputs["Alpha"].default_value, inputs["Roughness"].default_value = 0.5, 0.4
+    for thing in small_scene.objects:
+        if thing.type == "MESH":
+            thing.data.materials[0].node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 0.7
+    eye = small_scene.camera.matrix_world
+    for distance in (0.5, 0.6):
+        bpy_session.ops.mesh.primitive_plane_add(size=4)
+        bpy_session.context.object.data.materials.append(material)
+        bpy_session.context.object.matrix_world = eye @ Matrix.Translation((0, 0, -distance))
+    g = captured(bpy_session).gbuffer
+    rough = g.roughness[g.mask & (g.specular.max(-1) > 1e-3)]
+    # each ray meets one, two or three surfaces; a mean of layers lies between theirs, a sum would be 1
+    assert rough.size > 1000 and rough.min() > 0.39 and rough.max() < 0.71
+
+
 def test_scene_far_from_the_origin_renders_like_one_at_it(bpy_session, small_scene, captured):
     captured(bpy_session)
     near = last_result().combined[..., :3].mean()

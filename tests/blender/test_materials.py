@@ -113,8 +113,8 @@ def test_a_plain_glossy_node_reflects_alike_from_all_sides(shown):
 
 
 @pytest.mark.parametrize(("settings", "asks"), [({}, False), ({"IOR": 1.33}, True), ({"Specular_IOR_Level": 0.1}, True),
-                                                ({"IOR": 1.33, "Metallic": 1.0}, False)])
-def test_materials_are_numbered_only_where_one_is_no_common_dielectric(bpy, shown, settings, asks):
+                                                ({"IOR": 1.33, "Metallic": 1.0}, False), ({"Alpha": 0.9}, True)])
+def test_materials_are_numbered_only_where_one_is_no_common_dielectric_or_lets_light_through(bpy, shown, settings, asks):
     from rtgi_addon.capture.needs import read_needs
     from rtgi_addon.capture.versions import HAS_ROUGHNESS_PASS
 
