@@ -197,6 +197,13 @@ def matt_share(reflectance, cos_fixed, alpha, f0, albedos, means):
 
 
 @inline_jit
+def relative_reflectance(cosine, alpha, f0, table):
+    """What a colourless lobe reflects towards a direction at `cosine`, over what it would without Fresnel."""
+    flat, rise = lobe_albedos(table, cosine, alpha)
+    return f0 + (ONE - f0) * rise / max(flat, f32(1e-3))
+
+
+@inline_jit
 def _solved_f0(reflectance, rise):
     """F0 of a lobe that reflects `reflectance`, Fresnel's rise being `rise`: reflectance = F0 + (1 - F0) rise.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import INV_PI, fit_lobe, fresnel, ggx_lobe, lobe_albedos
+from .brdf import INV_PI, fit_lobe, fresnel, ggx_lobe, lobe_albedos, relative_reflectance
 from .bvh import visibility
 from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y, width_at
 from .jit import device_jit, inline_jit
@@ -110,6 +110,11 @@ def softened(roughness, receiver):
 
 
 @inline_jit
+def _alpha(roughness):
+    return max(roughness * roughness, LEAST_ALPHA)
+
+
+@inline_jit
 def _lamp(lights, k):
     shape = lights.shapes[k]
     return Lamp(lights.kinds[k], lights.places[k], shape[0], shape[1], shape[2], shape[3], shape[4], shape[5], shape[6])
@@ -125,17 +130,43 @@ def _given(lights, k, albedo, diffuse, specular, glossy):
 
 
 @inline_jit
-def light_of_lamps(bvh, lights, stack, p, n, plane, lift, towards, albedo, specular, roughness, known_f0, albedos, offset_m,
-                   u, v, pick):
+def _soft_gain(cos_colour, cos_ray, alpha, soft, f0, albedos):
+    """What `ggx_lobe` of alpha `soft` is multiplied by in place of a lobe of `alpha` whose colour is seen at `cos_colour`.
+
+    Together with `_soft_share` of each lamp.
+    """
+    flat, _ = lobe_albedos(albedos, cos_ray, soft)
+    at_ray = fresnel(max(cos_ray, f32(0.02)), f0)
+    return at_ray / max(relative_reflectance(cos_colour, alpha, f0, albedos) * flat, f32(0.02) * at_ray)
+
+
+@inline_jit
+def _soft_share(cos_lamp, alpha, soft, f0, albedos):
+    """What a lobe of `alpha` reflects of a lamp's light over what one of alpha `soft` does.
+
+    A softened lobe shows a lamp where the true one does not, so the reflectance may not be the ray's: a smooth floor under a
+    lamp threw up to a third more than it got, at rays that graze it. With the lamp's it throws what it gets.
+    """
+    if soft == alpha:
+        return ONE
+    return relative_reflectance(cos_lamp, alpha, f0, albedos) / relative_reflectance(cos_lamp, soft, f0, albedos)
+
+
+@inline_jit
+def light_of_lamps(bvh, lights, stack, p, n, plane, lift, towards, albedo, specular, roughness, receiver, known_f0, albedos,
+                   offset_m, u, v, pick):
     """Radiance that point p, normal n, sends along `towards` of the lamps' light: one shadow ray, to a lamp drawn by share.
 
-    `plane` is the triangle's normal: what lies below it is in the surface's own shadow, wherever n points, but for `lift`
-    (`terminator.smooth_lift`). (u, v) is the place on the lamp, `pick` draws the lamp; all in [0, 1).
+    Its lobe is `softened` for a `receiver` of that roughness. `plane` is the triangle's normal: what lies below it is in the
+    surface's own shadow, wherever n points, but for `lift` (`terminator.smooth_lift`). (u, v) is the place on the lamp,
+    `pick` draws the lamp; all in [0, 1).
     """
     reflectance = max(specular.x, max(specular.y, specular.z))
-    alpha, f0, gain = max(roughness * roughness, LEAST_ALPHA), ZERO, ZERO
+    alpha, soft, f0, gain = _alpha(roughness), _alpha(softened(roughness, receiver)), ZERO, ZERO
     if reflectance > LEAST_REFLECTANCE:
-        f0, gain = fit_lobe(reflectance, max(dot(n, towards), ZERO), alpha, albedos, known_f0)
+        cos_ray = max(dot(n, towards), ZERO)
+        f0, _ = fit_lobe(reflectance, cos_ray, alpha, albedos, known_f0)
+        gain = _soft_gain(cos_ray, cos_ray, alpha, soft, f0, albedos)
     total, kept, chosen = ZERO, ZERO, -1
     light, way = Vec3(ZERO, ZERO, ZERO), Vec3(ZERO, ZERO, ZERO)
     for k in range(lights.kinds.shape[0]):
@@ -148,7 +179,10 @@ def light_of_lamps(bvh, lights, stack, p, n, plane, lift, towards, albedo, specu
         if not weight > ZERO or not cosine > ZERO or (
                 lights.shadows[k] != 0 and lifted_share(lift, n, plane, unit) < ZERO):
             continue
-        glossy = weight * gain * ggx_lobe(n, towards, unit, alpha * alpha, f0) if gain > ZERO else ZERO
+        glossy = ZERO
+        if gain > ZERO:
+            glossy = weight * gain * ggx_lobe(n, towards, unit, soft * soft, f0)
+            glossy *= _soft_share(cosine, alpha, soft, f0, albedos) if glossy > ZERO else ONE
         given = _given(lights, k, albedo, INV_PI * weight * cosine, specular, glossy)
         amount = given.x + given.y + given.z
         if not amount > ZERO:
@@ -170,22 +204,20 @@ def light_of_lamps(bvh, lights, stack, p, n, plane, lift, towards, albedo, specu
 
 
 @inline_jit
-def gloss_of_lamps(lights, p, n, towards, viewer, specular, roughness, known_f0, irradiance, albedos, u, v):
+def gloss_of_lamps(lights, p, n, towards, viewer, specular, roughness, receiver, known_f0, irradiance, albedos, u, v):
     """Radiance that the glossy lobe of a surface in the picture sends along `towards` of the lamps' light.
 
-    `specular` is its Glossy Color towards `viewer`; what it would be towards the ray follows from the rise of Fresnel's
-    reflectance. `irradiance` W/m2 is what arrives of the lamps' light, mean of the colours: all lamps are shadowed alike.
+    The lobe is `softened` for a `receiver` of that roughness. `specular` is what it reflects towards `viewer`; what it would be
+    towards the ray follows from the rise of Fresnel's reflectance. `irradiance` W/m2 is what arrives of the lamps' light, mean
+    of the colours: all lamps are shadowed alike.
     """
     reflectance = max(specular.x, max(specular.y, specular.z))
-    cosine, alpha = dot(n, towards), max(roughness * roughness, LEAST_ALPHA)
+    cosine, alpha, soft = dot(n, towards), _alpha(roughness), _alpha(softened(roughness, receiver))
     if not reflectance > LEAST_REFLECTANCE or not irradiance > ZERO or not cosine > ZERO:
         return Vec3(ZERO, ZERO, ZERO)
     cos_viewer = max(dot(n, viewer), ZERO)
-    f0, gain = fit_lobe(reflectance, cos_viewer, alpha, albedos, known_f0)
-    seen_flat, _ = lobe_albedos(albedos, cos_viewer, alpha)
-    flat, _ = lobe_albedos(albedos, cosine, alpha)
-    # colour towards the ray times the lobe's gain there: the lobe's integral towards the ray cancels
-    gain *= seen_flat / max(flat, f32(1e-3)) * fresnel(cosine, f0) / fresnel(max(cos_viewer, f32(0.02)), f0)
+    f0, _ = fit_lobe(reflectance, cos_viewer, alpha, albedos, known_f0)
+    gain = _soft_gain(cos_viewer, cosine, alpha, soft, f0, albedos)
     could, sent = ZERO, Vec3(ZERO, ZERO, ZERO)
     for k in range(lights.kinds.shape[0]):
         lamp = _lamp(lights, k)
@@ -197,7 +229,8 @@ def gloss_of_lamps(lights, p, n, towards, viewer, specular, roughness, known_f0,
             continue
         w = lights.powers[k]
         could += weight * dot(n, unit) * (w[0] + w[1] + w[2]) * f32(1 / 3)
-        lobe = weight * gain * ggx_lobe(n, towards, unit, alpha * alpha, f0)
+        lobe = weight * gain * ggx_lobe(n, towards, unit, soft * soft, f0)
+        lobe *= _soft_share(dot(n, unit), alpha, soft, f0, albedos) if lobe > ZERO else ONE
         sent = Vec3(sent.x + w[3] * lobe, sent.y + w[4] * lobe, sent.z + w[5] * lobe)
     share = min(irradiance / max(could, f32(1e-30)), ONE)
     return Vec3(share * specular.x * sent.x, share * specular.y * sent.y, share * specular.z * sent.z)

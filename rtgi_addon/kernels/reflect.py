@@ -19,7 +19,7 @@ import numpy as np
 from .brdf import fit_lobe, fresnel, lobe_density, sample_lobe
 from .depth_pyramid import HEIGHT, SLOPE_X, SLOPE_Y
 from .jit import borrowed, device_jit, pixel_jit
-from .lit_hits import edge_fade, gloss_of_lamps, lit_there, softened
+from .lit_hits import edge_fade, gloss_of_lamps, lit_there
 from .sampling import cosine_hemisphere, dither, r2_sequence, uniform
 from .screen import HALF, seen_vs, turn_to_view, turn_to_world, view_vector
 from .screen_rays import ENDED, HIT, distance_at, march, march_evenly, ray_in_picture
@@ -260,7 +260,7 @@ def follow_rays(begin, end, index, samples, s, pyramid, gloss, lights, rules, se
                 hit = along(p, d, length_m)
                 sent = gloss_of_lamps(
                     lights, hit, load_pixel(s.normal_ws, at_i, at_j), scaled(d, -ONE), view_vector(s, hit),
-                    load_pixel(gloss.specular, at_i, at_j), softened(gloss.roughness[at_i, at_j], gloss.roughness[i, j]),
+                    load_pixel(gloss.specular, at_i, at_j), gloss.roughness[at_i, at_j], gloss.roughness[i, j],
                     gloss.f0[at_i, at_j], gloss.irradiance[at_i, at_j], gloss.albedos, uniform(index[m], k, seed + 1),
                     uniform(index[m], k, seed + 2))
                 for c in range(3):

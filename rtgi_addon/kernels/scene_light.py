@@ -257,15 +257,14 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                     i, j = int(down), int(across)
                     sent = gloss_of_lamps(
                         lights, p, load_pixel(screen.normal_ws, i, j), scaled(d, -ONE), view_vector(screen, p),
-                        load_pixel(gloss.specular, i, j), softened(gloss.roughness[i, j], receiver), gloss.f0[i, j],
-                        gloss.irradiance[i, j], gloss.albedos,
-                        uniform(q, 11, seed), uniform(q, 12, seed))
+                        load_pixel(gloss.specular, i, j), gloss.roughness[i, j], receiver, gloss.f0[i, j],
+                        gloss.irradiance[i, j], gloss.albedos, uniform(q, 11, seed), uniform(q, 12, seed))
                     for c in range(3):
                         light[c] += sent[c]
             source, to_ray = bvh.source[slot], scaled(d, -ONE)
             n = normal_at(around, source, a, b, plane, side, to_ray)
             albedo, specular, roughness, f0 = colours_at(around, gloss.albedos, source, a, b, dot(n, to_ray))
-            roughness, lift = softened(roughness, receiver), Vec3(ZERO, ZERO, ZERO)
+            lift = Vec3(ZERO, ZERO, ZERO)
             if around.normals.shape[0] > 0 and share < ONE and lights.kinds.shape[0] > 0:
                 lift = smooth_lift(bvh, around.normals, slot, a, b, plane)
             matt, glossy = Vec3(ZERO, ZERO, ZERO), Vec3(ZERO, ZERO, ZERO)
@@ -276,7 +275,7 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                     u, v = r2_sequence(look, uniform(q, 11, seed), uniform(q, 12, seed))
                     pick = (uniform(q, 13, seed) + f32(look)) / f32(lookups)
                     matt = add(matt, light_of_lamps(bvh, lights, stack, p, n, plane, lift, to_ray, albedo, specular,
-                                                    roughness, f0, gloss.albedos, rules.offset_m, u, v, pick))
+                                                    roughness, receiver, f0, gloss.albedos, rules.offset_m, u, v, pick))
                 if around.lights_up:
                     u, v = r2_sequence(look, uniform(q, 14, seed), uniform(q, 15, seed))
                     if share < ONE:
@@ -284,9 +283,9 @@ def ask_scene(begin, end, asked, index, samples, screen, planes, gloss, lights, 
                         matt = add(matt, _from_above(bvh, around, stack, p, n, plane, albedo, rules.offset_m, rules.reach_m,
                                                      u, v, pick))
                     pick = (uniform(q, 16, seed) + f32(look)) / f32(lookups)
-                    glossy = add(glossy, _from_lobe(bvh, around, stack, p, n, plane, to_ray, specular, roughness, f0,
-                                                    gloss.albedos, rules.offset_m, rules.reach_m, u, v, pick,
-                                                    q, seed + look))
+                    glossy = add(glossy, _from_lobe(bvh, around, stack, p, n, plane, to_ray, specular,
+                                                    softened(roughness, receiver), f0, gloss.albedos, rules.offset_m,
+                                                    rules.reach_m, u, v, pick, q, seed + look))
             matt, glossy = scaled(matt, (ONE - share) / f32(lookups)), scaled(glossy, ONE / f32(lookups))
             own = load(around.emission, source)
             shown = _shown_emission(own, Vec3(light[3], light[4], light[5]), share)
