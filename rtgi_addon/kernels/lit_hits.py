@@ -207,9 +207,9 @@ def light_of_lamps(bvh, lights, stack, p, n, plane, lift, towards, albedo, specu
 def gloss_of_lamps(lights, p, n, towards, viewer, specular, roughness, receiver, known_f0, irradiance, albedos, u, v):
     """Radiance that the glossy lobe of a surface in the picture sends along `towards` of the lamps' light.
 
-    The lobe is `softened` for a `receiver` of that roughness. `specular` is what it reflects towards `viewer`; what it would be
-    towards the ray follows from the rise of Fresnel's reflectance. `irradiance` W/m2 is what arrives of the lamps' light, mean
-    of the colours: all lamps are shadowed alike.
+    The lobe is `softened` for a `receiver` of that roughness. `specular` is what it reflects towards `viewer`; what it would
+    be towards the ray follows from the rise of Fresnel's reflectance. `irradiance` W/m2 is what arrives of the lamps' light,
+    mean of the colours: all lamps are shadowed alike.
     """
     reflectance = max(specular.x, max(specular.y, specular.z))
     cosine, alpha, soft = dot(n, towards), _alpha(roughness), _alpha(softened(roughness, receiver))
