@@ -11,7 +11,7 @@ from .nodes import node_tree
 from .versions import HAS_ROUGHNESS_PASS, pass_name
 
 ROUGHNESS_PASS = "Denoising Roughness"
-SCATTERING_NODES = ("BSDF_PRINCIPLED", "BSDF_GLOSSY", "BSDF_ANISOTROPIC")
+SCATTERING_NODES = ("BSDF_PRINCIPLED", "BSDF_GLOSSY", "BSDF_ANISOTROPIC", "BSDF_METALLIC")
 
 
 @dataclass(frozen=True)
