@@ -24,6 +24,7 @@ from .vec3 import ONE, ZERO, Vec3, add, dot, f32, normalized_or, scaled, tangent
 INV_PI = f32(1 / math.pi)
 HALF = f32(0.5)
 F0 = f32(0.04)              # reflectance at normal incidence of a dielectric of index 1.5
+F0_DENSE, F0_METAL = f32(0.1), f32(0.2)     # of index 1.9; only metals reflect more than the latter
 GAIN_STEPS = 32             # cells of the tables of albedos, along cosine and along alpha
 _QUADRATURE = 32            # nodes an axis of the integral over half vectors
 
@@ -40,9 +41,20 @@ def fresnel_rise(cosine):
 
 
 @inline_jit
+def rise_of(rise, f0):
+    """Fresnel's rise where index 1.5 has `rise`, for the index that reflects `f0` at normal incidence.
+
+    Denser surfaces rise earlier: with r (1 - k (1 - r)^2) the reflectance is within 3 % of Fresnel's equations up to 80
+    degrees for indices of 1.33 to 1.8, with r alone up to 19 % off. Metals keep the shape of index 1.5.
+    """
+    k = (f32(0.122) if f0 < F0 else f32(0.08)) * (ONE / math.sqrt(min(max(f0, f32(0.015)), F0_DENSE)) - f32(5))
+    return rise * (ONE - (k if f0 < F0_METAL else ZERO) * (ONE - rise) * (ONE - rise))
+
+
+@inline_jit
 def fresnel(cosine, f0=F0):
     """Reflectance of a surface that reflects `f0` at normal incidence and everything at grazing."""
-    return f0 + (ONE - f0) * fresnel_rise(cosine)
+    return f0 + (ONE - f0) * rise_of(fresnel_rise(cosine), f0)
 
 
 @inline_jit
@@ -148,6 +160,12 @@ def lobe_albedos(table, cos_fixed, alpha):
     return _interpolated(table, cos_fixed, alpha, 0), _interpolated(table, cos_fixed, alpha, 1)
 
 
+@inline_jit
+def lobe_reflectance(flat, rise, f0):
+    """Hemispherical integral of a lobe with its Fresnel term, from `lobe_albedos`."""
+    return flat * (f0 + (ONE - f0) * rise_of(min(rise / max(flat, f32(1e-3)), ONE), f0))
+
+
 @device_jit
 def reflected_share(colour, cos_fixed, alpha, known_f0, keeps_energy, table):
     """What a lobe reflects towards `fixed` over `colour`, what Cycles' Glossy Color says that it does.
@@ -159,7 +177,8 @@ def reflected_share(colour, cos_fixed, alpha, known_f0, keeps_energy, table):
     flat, rise = lobe_albedos(table, cos_fixed, alpha)
     told = _interpolated(table, cos_fixed, alpha, 2)
     f0 = known_f0 if known_f0 > ZERO else _solved_f0(colour, told)
-    return (f0 * flat + (ONE - f0) * rise) / max((f0 + (ONE - f0) * told) * (flat if keeps_energy else ONE), f32(1e-6))
+    colourless = (f0 + (ONE - f0) * rise_of(told, f0)) * (flat if keeps_energy else ONE)
+    return lobe_reflectance(flat, rise, f0) / max(colourless, f32(1e-6))
 
 
 @functools.cache
@@ -180,7 +199,7 @@ def mean_of_lobe(cos_fixed, alpha, f0, albedos, means):
     j = int(y)
     t = y - f32(j)
     flat_mean, rise_mean = ((ONE - t) * means[j, 0] + t * means[j + 1, 0], (ONE - t) * means[j, 1] + t * means[j + 1, 1])
-    return (f0 * flat_mean + (ONE - f0) * rise_mean) / max(f0 * flat + (ONE - f0) * rise, f32(1e-4))
+    return lobe_reflectance(flat_mean, rise_mean, f0) / max(lobe_reflectance(flat, rise, f0), f32(1e-4))
 
 
 @device_jit
@@ -200,7 +219,7 @@ def matt_share(reflectance, cos_fixed, alpha, f0, albedos, means):
 def relative_reflectance(cosine, alpha, f0, table):
     """What a colourless lobe reflects towards a direction at `cosine`, over what it would without Fresnel."""
     flat, rise = lobe_albedos(table, cosine, alpha)
-    return f0 + (ONE - f0) * rise / max(flat, f32(1e-3))
+    return lobe_reflectance(flat, rise, f0) / max(flat, f32(1e-3))
 
 
 @inline_jit
@@ -226,4 +245,4 @@ def fit_lobe(reflectance, cos_fixed, alpha, albedos, known=ZERO):
     flat, rise = lobe_albedos(albedos, cos_fixed, alpha)
     f0 = known if known > ZERO else _solved_f0(reflectance, rise / max(flat, f32(1e-3)))
     at_fixed = fresnel(min(max(cos_fixed, f32(0.02)), ONE), f0)
-    return f0, at_fixed / max(f0 * flat + (ONE - f0) * rise, f32(0.02) * at_fixed)
+    return f0, at_fixed / max(lobe_reflectance(flat, rise, f0), f32(0.02) * at_fixed)

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from .brdf import albedo_table, fresnel, ggx_lobe, lobe_albedos
+from .brdf import albedo_table, fresnel, ggx_lobe, lobe_albedos, lobe_reflectance
 from .bvh import STACK, Bvh
 from .clusters import ALPHA2, DIFFUSE, F0, GLOSSY, NO_LOBE, NORMAL, POSITION, TO_LIGHT
 from .jit import borrowed, device_jit, pixel_jit, scratch
@@ -119,7 +119,7 @@ def _glossy_lobe(lobe, n, to_light, alpha2, f0, direction, solid_angle, albedos,
     """Shares by direction of what a glossy texel table entry reflects; they add up to 1 / the gain that is in its flux."""
     cos_light = min(max(dot(n, to_light), f32(0.02)), f32(0.999))
     flat, rise = lobe_albedos(albedos, cos_light, math.sqrt(min(alpha2, ONE)))
-    reflected = (f0 * flat + (ONE - f0) * rise) / fresnel(cos_light, f0)
+    reflected = lobe_reflectance(flat, rise, f0) / fresnel(cos_light, f0)
     wide, whole = min(max(alpha2, least_alpha * least_alpha), ONE), ZERO
     for g in range(6):
         for d in range(solid_angle.shape[0]):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .brdf import HALF, INV_PI, fit_lobe, fresnel, ggx_lobe, lobe_albedos, lobe_density, sample_lobe
+from .brdf import HALF, INV_PI, fit_lobe, fresnel, ggx_lobe, lobe_albedos, lobe_density, rise_of, sample_lobe
 from .bvh import STACK, closest_hit, triangle_normal, visibility
 from .depth_pyramid import height_at, plane_slopes
 from .jit import borrowed, inline_jit, pixel_jit, scratch
@@ -81,7 +81,7 @@ def colours_at(around, albedos, t, a, b, cosine):
                   c * at[0, 2] + a * at[1, 2] + b * at[2, 2])
     substance = around.substance[around.material[t]]
     flat, rise = lobe_albedos(albedos, cosine, substance[3] * substance[3])
-    rise = min(rise / max(flat, f32(1e-3)), f32(0.9))
+    rise = rise_of(min(rise / max(flat, f32(1e-3)), f32(0.9)), substance[4])
     reflectance = (substance[4] + (ONE - substance[4]) * rise) * (ONE if substance[5] > ZERO else flat)
     return albedo, scaled(Vec3(substance[0], substance[1], substance[2]), reflectance), substance[3], substance[4]
 

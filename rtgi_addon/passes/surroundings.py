@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.frame import Frame, GBuffer, Geometry, Light, LightKind, Material
 from ..core.radiometry import find_emitters
-from ..kernels.brdf import GAIN_STEPS, albedo_table, mean_albedo_table
+from ..kernels.brdf import GAIN_STEPS, albedo_table, mean_albedo_table, rise_of
 from ..kernels.bvh import Bvh
 from ..kernels.lit_hits import Lights
 from ..kernels.scene_light import Surroundings
@@ -63,7 +63,7 @@ def substance_table(materials: tuple[Material, ...]) -> np.ndarray:
         specular = np.array(material.specular) / max(material.alpha, 1e-3)
         brightest = specular.max()
         f0 = material.f0 or 0.04 + min(max((brightest - 0.08) / 0.12, 0), 1) * (brightest - 0.04)
-        mean = np.interp(material.roughness**2, alphas, mean_rise)
+        mean = rise_of(np.float32(np.interp(material.roughness**2, alphas, mean_rise)), np.float32(f0))
         rows.append([*(specular / (f0 + (1 - f0) * mean)), material.roughness, f0, material.keeps_energy])
     return np.array(rows, np.float32).reshape(-1, 6)
 

@@ -47,6 +47,15 @@ def test_fresnel_of_glass_has_the_textbook_values(degrees, expected):
     assert fresnel(f32(math.cos(math.radians(degrees))), F0) == pytest.approx(expected, abs=1e-4)
 
 
+@pytest.mark.parametrize("index", [1.33, 1.45, 1.6, 1.8])
+@pytest.mark.parametrize("degrees", [30, 50, 60, 70, 80])
+def test_fresnel_of_other_indices_is_near_the_equations(index, degrees):
+    c, f0 = math.cos(math.radians(degrees)), ((index - 1) / (index + 1)) ** 2
+    g = math.sqrt(index**2 - 1 + c * c)
+    exact = 0.5 * ((g - c) / (g + c)) ** 2 * (1 + ((c * (g + c) - 1) / (c * (g - c) + 1)) ** 2)
+    assert fresnel(f32(c), f32(f0)) == pytest.approx(exact, rel=0.03)
+
+
 def test_fresnel_vanishes_for_polarised_light_at_brewsters_angle_only_by_half():
     # at 56.3 degrees the parallel part is 0: reflectance is half of ((n^2 - 1) / (n^2 + 1))^2
     assert fresnel(f32(1 / math.sqrt(1 + 1.5**2)), F0) == pytest.approx(0.5 * (1.25 / 3.25) ** 2, rel=1e-4)
