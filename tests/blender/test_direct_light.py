@@ -107,7 +107,7 @@ def test_highlights_of_other_indices_are_those_of_cycles(bpy_session, small_scen
     light_with(bpy_session, small_scene, "hard sun")
     transports, reference = rtgi_and_cycles(small_scene, 0.5, index)
     mean, got = reference.mean("direct glossy")[reference.mask], transports[Transport.DIRECT_GLOSSY][reference.mask]
-    # Fresnel's rise is a fit to the index's own, 3 % off at 1.33; with that of index 1.5 this was up to 7 % off, and with its
+    # Fresnel's rise is a fit to the index's own, 3 % off at 1.33; with that of index 1.5 this was up to 7 % off, with its
     # reflectance at normal incidence too by 8 to 40 %
     assert np.abs(got - mean).sum() / mean.sum() <= 0.04
     assert got.sum() == pytest.approx(mean.sum(), rel=0.04)
