@@ -32,12 +32,18 @@ def smith_lambda(cosine: np.ndarray, alpha2: np.ndarray) -> np.ndarray:
 
 
 def fresnel(cosine: np.ndarray, f0: np.ndarray) -> np.ndarray:
-    """Fresnel's equations of a dielectric of index 1.5, by Snell's law, stretched so that normal incidence gives f0."""
+    """Fresnel's equations of a dielectric of index 1.5, by Snell's law, stretched so that normal incidence gives f0.
+
+    The rise r is bent to r (1 - k (1 - r)^2) for other indices, as `brdf.rise_of` defines it; how near that is to their own
+    equations is another test.
+    """
     n = 1.5
     cos_t = np.sqrt(1 - (1 - cosine**2) / n**2)
     s = ((cosine - n * cos_t) / (cosine + n * cos_t)) ** 2
     p = ((cos_t - n * cosine) / (cos_t + n * cosine)) ** 2
-    return f0 + (1 - f0) * ((s + p) / 2 - 0.04) / 0.96
+    rise = ((s + p) / 2 - 0.04) / 0.96
+    k = np.where(f0 < 0.04, 0.122, 0.08) * (1 / np.sqrt(np.clip(f0, 0.015, 0.1)) - 5)
+    return f0 + (1 - f0) * rise * (1 - np.where(f0 < 0.2, k, 0) * (1 - rise) ** 2)
 
 
 def glossy_lobe(normal: np.ndarray, fixed: np.ndarray, other: np.ndarray, alpha2: np.ndarray, f0: np.ndarray) -> np.ndarray:
