@@ -207,8 +207,7 @@ def _share(is_seen, weight, front):
     return max(weight, LEAST_SHARE) * min(ONE, RAMP * front) if is_seen else ZERO
 
 
-def inject(flux: np.ndarray, n: int, table: np.ndarray, grid: LightGrid, bvh: Bvh,
-           offset_m: float) -> None:
+def inject(flux: np.ndarray, n: int, table: np.ndarray, grid: LightGrid, bvh: Bvh, offset_m: float) -> None:
     """In place: add the light of a texel table (17, N, rows as in `clusters`).
 
     Light leaves a texel where it lies and is handed to the next plane of cell centres that it meets, bilinearly among those

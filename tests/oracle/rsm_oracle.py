@@ -43,7 +43,7 @@ def fresnel(cosine: np.ndarray, f0: np.ndarray) -> np.ndarray:
     p = ((cos_t - n * cosine) / (cos_t + n * cosine)) ** 2
     rise = ((s + p) / 2 - 0.04) / 0.96
     k = np.where(f0 < 0.04, 0.122, 0.08) * (1 / np.sqrt(np.clip(f0, 0.015, 0.1)) - 5)
-    return f0 + (1 - f0) * rise * (1 - np.where(f0 < 0.2, k, 0) * (1 - rise) ** 2)
+    return f0 + (1 - f0) * rise * (1 - k * np.clip((0.2 - f0) / 0.1, 0, 1) * (1 - rise) ** 2)
 
 
 def glossy_lobe(normal: np.ndarray, fixed: np.ndarray, other: np.ndarray, alpha2: np.ndarray, f0: np.ndarray) -> np.ndarray:
